@@ -1,0 +1,250 @@
+"""Owns lookup tables: (multi)linear interpolation on a declared domain, never beyond it.
+
+The table *is* the model: relaxation, refinement and replay read the same
+numbers. Derivatives are those of the table averaged over one cell (the node
+slopes are central differences, interpolated linearly), which is what a
+Newton-type method needs at a kink. Knows nothing of what the maps mean.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from relax.errors import DomainError
+
+__all__ = ["Table1", "Table2"]
+
+Array = npt.NDArray[np.float64]
+
+DOMAIN_SLACK = 1e-9
+"""Relative overshoot of a table's domain that is rounding, not extrapolation."""
+
+
+def _grid(values: Sequence[float] | Array, name: str) -> Array:
+    grid = np.array(values, dtype=np.float64)
+    if grid.ndim != 1 or grid.size < 2:
+        raise ValueError(f"{name}: a table axis needs at least 2 nodes")
+    if not np.all(np.isfinite(grid)) or np.any(np.diff(grid) <= 0):
+        raise ValueError(f"{name}: a table axis must be finite and strictly increasing")
+    grid.setflags(write=False)
+    return grid
+
+
+def _slopes(x: Array, f: Array, axis: int = 0) -> Array:
+    """Node slopes: mean of the two adjoining segments' slopes, one-sided at the ends."""
+    f = np.moveaxis(f, axis, 0)
+    step = np.diff(x).reshape(-1, *([1] * (f.ndim - 1)))
+    slope = np.diff(f, axis=0) / step
+    out = np.concatenate([slope[:1], 0.5 * (slope[1:] + slope[:-1]), slope[-1:]])
+    return np.moveaxis(out, 0, axis)
+
+
+def _locate(grid: Array, x: Array, name: str) -> tuple[npt.NDArray[np.intp], Array]:
+    """Cell index and weight in [0, 1] of every point; raises off the domain."""
+    slack = DOMAIN_SLACK * (grid[-1] - grid[0])
+    if x.size and (x.min() < grid[0] - slack or x.max() > grid[-1] + slack or np.isnan(x).any()):
+        raise DomainError(
+            f"{name}: {x.min():g} .. {x.max():g} is outside the table {grid[0]:g} .. {grid[-1]:g}"
+        )
+    index = np.clip(np.searchsorted(grid, x, side="right") - 1, 0, grid.size - 2)
+    weight = (x - grid[index]) / (grid[index + 1] - grid[index])
+    return index, np.clip(weight, 0.0, 1.0)
+
+
+@dataclass(frozen=True)
+class Table1:
+    """Piecewise linear function of one variable.
+
+    Parameters
+    ----------
+    x : array_like, shape (n,)
+        Nodes, strictly increasing, n >= 2.
+    f : array_like, shape (n,)
+        Values at the nodes.
+    name : str
+        Used in error messages.
+
+    Raises
+    ------
+    ValueError
+        Shapes differ or a number is not finite.
+
+    Examples
+    --------
+    >>> table = Table1([0.0, 1.0, 3.0], [1.0, 2.0, 0.0])
+    >>> float(table(2.0)), table.at(0.5)
+    (1.0, 1.5)
+    """
+
+    x: Array
+    f: Array
+    name: str = field(default="table")
+
+    def __init__(
+        self, x: Sequence[float] | Array, f: Sequence[float] | Array, name: str = "table"
+    ) -> None:
+        object.__setattr__(self, "x", _grid(x, name))
+        values = np.array(f, dtype=np.float64)
+        if values.shape != self.x.shape or not np.all(np.isfinite(values)):
+            raise ValueError(f"{name}: needs one finite value per node")
+        values.setflags(write=False)
+        object.__setattr__(self, "f", values)
+        object.__setattr__(self, "name", name)
+
+    @classmethod
+    def constant(cls, value: float, lo: float, hi: float, name: str = "table") -> Table1:
+        """Return the constant map on [lo, hi]."""
+        return cls([lo, hi], [value, value], name)
+
+    @property
+    def lo(self) -> float:
+        """Lower end of the domain."""
+        return float(self.x[0])
+
+    @property
+    def hi(self) -> float:
+        """Upper end of the domain."""
+        return float(self.x[-1])
+
+    @cached_property
+    def _lists(self) -> tuple[list[float], list[float], list[float], float]:
+        slope = np.diff(self.f) / np.diff(self.x)
+        slack = DOMAIN_SLACK * (self.hi - self.lo)
+        return self.x.tolist(), self.f.tolist(), slope.tolist(), slack
+
+    @cached_property
+    def _jet_table(self) -> Array:
+        first = _slopes(self.x, self.f)
+        return np.stack([self.f, first, _slopes(self.x, first)])
+
+    def __call__(self, x: npt.ArrayLike) -> Array:
+        """Return the values at ``x`` (any shape); DomainError outside the table."""
+        return self.jet(x)[0]
+
+    def at(self, x: float) -> float:
+        """Return the value at one float: the fast path of simulation and replay."""
+        grid, values, slope, slack = self._lists
+        if not grid[0] - slack <= x <= grid[-1] + slack:
+            raise DomainError(
+                f"{self.name}: {x:g} is outside the table {grid[0]:g} .. {grid[-1]:g}"
+            )
+        i = min(max(bisect_right(grid, x) - 1, 0), len(slope) - 1)
+        return values[i] + slope[i] * (x - grid[i])
+
+    def jet(self, x: npt.ArrayLike) -> Array:
+        """Return value, first and second derivative, shape (3, *x.shape).
+
+        The value is the table's; the derivatives are those of the table
+        averaged over one cell (continuous; exact for an affine table).
+        """
+        x = np.asarray(x, dtype=np.float64)
+        i, w = _locate(self.x, x, self.name)
+        return self._jet_table[:, i] * (1.0 - w) + self._jet_table[:, i + 1] * w
+
+
+@dataclass(frozen=True)
+class Table2:
+    """Bilinear function of two variables on a grid.
+
+    Parameters
+    ----------
+    x : array_like, shape (n,)
+        Nodes of the first variable, strictly increasing.
+    y : array_like, shape (m,)
+        Nodes of the second variable, strictly increasing.
+    f : array_like, shape (n, m)
+        Values at the nodes.
+    name : str
+        Used in error messages.
+
+    Raises
+    ------
+    ValueError
+        Shapes differ or a number is not finite.
+
+    Examples
+    --------
+    >>> table = Table2([0.0, 1.0], [0.0, 2.0], [[0.0, 2.0], [1.0, 5.0]])
+    >>> table.at(0.5, 1.0)
+    2.0
+    """
+
+    x: Array
+    y: Array
+    f: Array
+    name: str = field(default="table")
+
+    def __init__(
+        self,
+        x: Sequence[float] | Array,
+        y: Sequence[float] | Array,
+        f: Sequence[Sequence[float]] | Array,
+        name: str = "table",
+    ) -> None:
+        object.__setattr__(self, "x", _grid(x, name))
+        object.__setattr__(self, "y", _grid(y, name))
+        values = np.array(f, dtype=np.float64)
+        if values.shape != (self.x.size, self.y.size) or not np.all(np.isfinite(values)):
+            raise ValueError(f"{name}: needs one finite value per node, {self.x.size} x {self.y.size}")
+        values.setflags(write=False)
+        object.__setattr__(self, "f", values)
+        object.__setattr__(self, "name", name)
+
+    @cached_property
+    def _lists(self) -> tuple[list[float], list[float], list[list[float]], float, float]:
+        return (
+            self.x.tolist(),
+            self.y.tolist(),
+            self.f.tolist(),
+            DOMAIN_SLACK * float(self.x[-1] - self.x[0]),
+            DOMAIN_SLACK * float(self.y[-1] - self.y[0]),
+        )
+
+    @cached_property
+    def _jet_table(self) -> Array:
+        fx = _slopes(self.x, self.f, 0)
+        fy = _slopes(self.y, self.f, 1)
+        fxy = _slopes(self.y, fx, 1)
+        return np.stack([self.f, fx, fy, _slopes(self.x, fx, 0), fxy, _slopes(self.y, fy, 1)])
+
+    def __call__(self, x: npt.ArrayLike, y: npt.ArrayLike) -> Array:
+        """Return the values at the points (x, y) of one shape; DomainError outside."""
+        return self.jet(x, y)[0]
+
+    def at(self, x: float, y: float) -> float:
+        """Return the value at one point of floats: the fast path of simulation and replay."""
+        xs, ys, f, slack_x, slack_y = self._lists
+        if not (xs[0] - slack_x <= x <= xs[-1] + slack_x and ys[0] - slack_y <= y <= ys[-1] + slack_y):
+            raise DomainError(
+                f"{self.name}: ({x:g}, {y:g}) is outside the table "
+                f"{xs[0]:g} .. {xs[-1]:g}, {ys[0]:g} .. {ys[-1]:g}"
+            )
+        i = min(max(bisect_right(xs, x) - 1, 0), len(xs) - 2)
+        j = min(max(bisect_right(ys, y) - 1, 0), len(ys) - 2)
+        u = (x - xs[i]) / (xs[i + 1] - xs[i])
+        v = (y - ys[j]) / (ys[j + 1] - ys[j])
+        left, right = f[i], f[i + 1]
+        return (1.0 - u) * ((1.0 - v) * left[j] + v * left[j + 1]) + u * (
+            (1.0 - v) * right[j] + v * right[j + 1]
+        )
+
+    def jet(self, x: npt.ArrayLike, y: npt.ArrayLike) -> Array:
+        """Return f, f_x, f_y, f_xx, f_xy, f_yy, shape (6, *x.shape).
+
+        The value is the table's; the derivatives are averaged over one cell.
+        """
+        x, y = np.broadcast_arrays(
+            np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)
+        )
+        i, u = _locate(self.x, x, self.name)
+        j, v = _locate(self.y, y, self.name)
+        t = self._jet_table
+        return (1.0 - u) * ((1.0 - v) * t[:, i, j] + v * t[:, i, j + 1]) + u * (
+            (1.0 - v) * t[:, i + 1, j] + v * t[:, i + 1, j + 1]
+        )
