@@ -1,0 +1,570 @@
+"""Owns the quadratic program of one refinement step: its columns, named rows and their values.
+
+All columns are *changes* against the current trajectory. Rows with a slack are
+elastic through one common column, so the program is always feasible. Knows the
+transcription, not the loop around it and not the solver.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+import numpy as np
+import numpy.typing as npt
+from scipy import sparse
+
+from relax.expansion import CellExpansion, DriveExpansion, convex_part
+from relax.instance import MIN_CHARGE_KWH, Instance
+from relax.plan import Trajectory
+from relax.sparse import Pattern, RowBlocks
+
+__all__ = ["QuadraticStep", "StepProgram", "TrustRegion"]
+
+Array = npt.NDArray[np.float64]
+Index = npt.NDArray[np.intp]
+Coefficients = tuple[Array | float, ...]
+
+SLACK_ROOM = np.array([0.2, 2.0, 2.0, 0.02])
+"""How far a step may violate limits of energy, temperature, discharge power and dwell beyond
+what its trajectory already does [kWh, K, kW, h]; keeps the linear model where it is good."""
+MARGIN_K = 1e-3
+"""How far inside the temperature limits programs aim: what their linear model may miss [K]."""
+MARGIN_H = 1e-5
+"""Likewise for the longest dwell [h]."""
+MARGIN_KW = 1e-3
+"""Likewise for the discharge limit [kW]."""
+DRIVE_SCALE = np.array([0.5, 3.0, 0.5, 0.5])
+"""Typical changes of (P, T, E, P_hp) between two iterates [kW, K, kWh, kW]."""
+CELL_SCALE = np.array([0.3, 0.003, 3.0, 0.5, 0.01])
+"""Typical changes of (W, y, T, E_arrive, H_p) between two iterates [kWh, h, K, kWh, kWh]."""
+
+
+@dataclass(frozen=True)
+class TrustRegion:
+    """Largest change of every temperature and every stop's energy in one step [K, kWh]."""
+
+    temperature_k: float = 8.0
+    energy_kwh: float = 8.0
+
+    def scaled(self, factor: float) -> TrustRegion:
+        """Return the region times a factor."""
+        return TrustRegion(self.temperature_k * factor, self.energy_kwh * factor)
+
+
+@dataclass(frozen=True)
+class StepProgram:
+    """min 1/2 x'Px + q'x, first ``n_eq`` rows A x = b, the rest A x <= b."""
+
+    P: sparse.csc_matrix
+    q: Array
+    A: sparse.csc_matrix
+    b: Array
+    n_eq: int
+
+
+class QuadraticStep:
+    """Columns, rows and sparsity of the step program of one instance.
+
+    Parameters
+    ----------
+    instance : Instance
+        Subset and grid; the structure is made once and reused for every step.
+    """
+
+    def __init__(self, instance: Instance) -> None:
+        self.instance = instance
+        n, cells, stops = instance.drive.n_steps, instance.cells, instance.stops
+        size = 0
+
+        def take(count: int) -> Index:
+            nonlocal size
+            size += count
+            return np.arange(size - count, size)
+
+        self.energy, self.temperature = take(n + 1), take(n + 1)
+        self.heater, self.cooling = take(n), take(n)
+        self.has_pump = instance.vehicle.heat_pump_kw > 0.0
+        self.pump = take(n if self.has_pump else 0)
+        self.regen = np.flatnonzero(instance.drive.base_kw < 0.0)
+        self.brake = take(self.regen.size)
+        m = len(stops)
+        self.charged, self.leave = take(m), take(m)
+        self.cell_temperature = take(m * cells).reshape(m, cells)
+        self.dwell, self.cell_heater = take(m * cells), take(m * cells)
+        self.cell_cooling = take(m * cells)
+        self.cell_pump = take(m * cells if self.has_pump else 0)
+        self.occupancy = take(m)
+        self.slack = take(4)
+        self.n_columns = size
+        self._link(n, cells)
+        self.rows = RowBlocks.make(self._blocks(), size)
+        self.n_eq = self.rows.slices["cell_heat" if m else "heat"].stop
+        self._quadratic_pattern()
+
+    def _link(self, n: int, cells: int) -> None:
+        """Work out which column holds the state before every step, stop and cell."""
+        stops = self.instance.stops
+        self.step_energy, self.step_temperature = self.energy[:n].copy(), self.temperature[:n].copy()
+        self.arrive_energy = np.zeros(len(stops), dtype=np.intp)
+        first_temperature = np.zeros(len(stops), dtype=np.intp)
+        for i, stop in enumerate(stops):
+            again = i > 0 and stops[i - 1].node == stop.node
+            self.arrive_energy[i] = self.leave[i - 1] if again else self.energy[stop.node]
+            first_temperature[i] = (
+                self.cell_temperature[i - 1, -1] if again else self.temperature[stop.node]
+            )
+            if stop.node < n:
+                self.step_energy[stop.node] = self.leave[i]
+                self.step_temperature[stop.node] = self.cell_temperature[i, -1]
+        before = np.concatenate([first_temperature[:, None], self.cell_temperature[:, :-1]], axis=1)
+        self.cell_before, self.cell_after = before.ravel(), self.cell_temperature.ravel()
+        self.cell_charged = np.repeat(self.charged, cells)
+        self.cell_arrive = np.repeat(self.arrive_energy, cells)
+        self.all_temperatures = np.concatenate([self.temperature[1:], self.cell_after])
+
+    def _blocks(self) -> list[tuple[str, tuple[Index, ...]]]:
+        n = self.instance.drive.n_steps
+        e0, e1 = self.step_energy, self.energy[1:]
+        t0, t1 = self.step_temperature, self.temperature[1:]
+        drive = (e0, e1, t0, t1, self.heater, self.cooling, *self._pump_columns())
+        state = (e0, e1, t0, t1)
+        cell_state = (self.cell_charged, self.dwell, self.cell_before, self.cell_after)
+        cell = (*cell_state, self.cell_arrive, *self._cell_pump_columns())
+        thermal = (*cell, self.cell_heater, self.cell_cooling)
+        m = len(self.instance.stops)
+        s_n, s_m = np.repeat(self.slack[0], n), np.repeat(self.slack[0], m)
+        s_t = np.repeat(self.slack[1], self.all_temperatures.size)
+        s_p, s_h = np.repeat(self.slack[2], n), np.repeat(self.slack[3], m)
+        blocks: list[tuple[str, tuple[Index, ...]]] = [
+            ("origin", (np.array([self.energy[0], self.temperature[0]]),)),
+            ("balance", (*drive, self._brake_columns(n))),
+            ("heat", drive),
+        ]
+        if m:
+            blocks += [
+                ("leave", (self.leave, self.arrive_energy, self.charged)),
+                ("cell_heat", thermal),
+            ]
+        blocks += [
+            ("heater_min", (self.heater,)),
+            ("heater_max", (self.heater, t0, t1, *self._pump_columns())),
+            ("cooling_min", (self.cooling,)),
+            ("cooling_max", (self.cooling,)),
+            ("energy_min", (e1, s_n)),
+            ("energy_max", (e1, s_n)),
+            ("temperature_max", (self.all_temperatures, s_t)),
+            ("temperature_min", (self.all_temperatures, s_t)),
+            ("discharge", (*state, s_p)),
+            ("slack_min", (self.slack,)),
+            ("slack_max", (self.slack,)),
+        ]
+        if self.has_pump:
+            blocks += [
+                ("pump_min", (self.pump,)),
+                ("pump_max", (self.pump,)),
+                ("cabin", (t0, t1, self.pump)),
+            ]
+        if self.regen.size:
+            blocks += [
+                ("regen", tuple(c[self.regen] for c in state)),
+                ("brake_min", (self.brake,)),
+                ("brake_max", (self.brake,)),
+            ]
+        if m:
+            dwell = tuple(self.dwell.reshape(m, -1).T)
+            blocks += [
+                ("least_dwell", cell),
+                ("grid_limit", thermal),
+                ("cell_heater_min", (self.cell_heater,)),
+                ("cell_heater_max", (*cell, self.cell_heater)),
+                ("cell_cooling_min", (self.cell_cooling,)),
+                ("cell_cooling_max", (self.cell_cooling, self.dwell)),
+                ("arrive_min", (self.arrive_energy, s_m)),
+                ("leave_min", (self.leave, s_m)),
+                ("charged_full", (self.arrive_energy, self.charged, s_m)),
+                ("charged_min", (self.charged,)),
+                ("charged_trust_max", (self.charged,)),
+                ("charged_trust_min", (self.charged,)),
+                ("dwell_max", (*dwell, s_h)),
+                ("occupancy_min", (self.occupancy,)),
+                ("occupancy", (*dwell, self.occupancy)),
+            ]
+            if self.has_pump:
+                blocks += [
+                    ("cell_pump_min", (self.cell_pump,)),
+                    ("cell_pump_max", (self.cell_pump, self.dwell)),
+                    ("cell_cabin", cell),
+                ]
+        return blocks
+
+    def _pump_columns(self) -> tuple[Index, ...]:
+        return (self.pump,) if self.has_pump else ()
+
+    def _cell_pump_columns(self) -> tuple[Index, ...]:
+        return (self.cell_pump,) if self.has_pump else ()
+
+    def _brake_columns(self, n: int) -> Index:
+        """Return one column per step; steps that cannot recuperate point at the slack with 0."""
+        columns = np.repeat(self.slack[0], n)
+        columns[self.regen] = self.brake
+        return columns
+
+    def _quadratic_pattern(self) -> None:
+        drive = np.stack(
+            [
+                self.step_energy,
+                self.energy[1:],
+                self.step_temperature,
+                self.temperature[1:],
+                *self._pump_columns(),
+            ]
+        ).T
+        cell = np.stack(
+            [
+                self.cell_charged,
+                self.dwell,
+                self.cell_before,
+                self.cell_after,
+                self.cell_arrive,
+                *self._cell_pump_columns(),
+            ]
+        ).T
+        rows, cols, self._upper = [], [], []
+        for block in (drive, cell):
+            a, b = np.triu_indices(block.shape[1])
+            self._upper.append((a, b))
+            first, second = block[:, a].ravel(), block[:, b].ravel()
+            rows.append(np.minimum(first, second))
+            cols.append(np.maximum(first, second))
+        shape = (self.n_columns, self.n_columns)
+        self._pattern = Pattern(np.concatenate(rows), np.concatenate(cols), shape)
+        v = 5 if self.has_pump else 4
+        duration = self.instance.drive.duration_h
+        # (P, T, E, P_hp) of a step as linear maps of (E+, E', T+, T', P_hp)
+        change = np.zeros((duration.size, 4, v))
+        change[:, 0, 0], change[:, 0, 1] = 1.0 / duration, -1.0 / duration
+        change[:, 1, 2:4], change[:, 2, 0:2] = 0.5, 0.5
+        # (W, y, T, E_arrive, H_p) of a cell as linear maps of (W, y, T_j, T_j+1, E_arrive, H_p)
+        local = np.zeros((5, v + 1))
+        local[0, 0] = local[1, 1] = local[3, 4] = 1.0
+        local[2, 2:4] = 0.5
+        if self.has_pump:
+            change[:, 3, 4] = local[4, 5] = 1.0
+        self._drive_change, self._cell_change = change, local
+
+    def _hessian(
+        self, drive: DriveExpansion, cells: CellExpansion | None, z: Array | None, price: Array
+    ) -> sparse.csc_matrix:
+        """Return the convexified Hessian of the Lagrangian with the multipliers z."""
+        vehicle, duration = self.instance.vehicle, self.instance.drive.duration_h
+        n = duration.size
+
+        def dual(name: str, size: int) -> Array:
+            block = self.rows.slices.get(name)
+            return np.zeros(size) if z is None or block is None else z[block]
+
+        balance, heat = dual("balance", n) * duration, dual("heat", n) * duration
+        pump_weight = heat + (balance - dual("heater_max", n)) / vehicle.heater_cabin_efficiency
+        pump_weight = pump_weight + dual("cabin", n)
+        blocks = -(balance + heat)[:, None, None] * drive.loss.hessian
+        blocks += pump_weight[:, None, None] * drive.pump_heat.hessian
+        blocks = convex_part(blocks, DRIVE_SCALE)
+        full = np.swapaxes(self._drive_change, 1, 2) @ blocks @ self._drive_change
+        a, b = self._upper[0]
+        values = [full[:, a, b].ravel()]
+        if cells is not None:
+            m = cells.loss.value.size
+            heat, grid = dual("cell_heat", m), dual("grid_limit", m) + price
+            relief = grid + dual("cell_heater_max", m)
+            pump = heat + dual("cell_cabin", m) - relief / vehicle.heater_cabin_efficiency
+            conductance = np.repeat(
+                [s.heat_loss_kw_per_k for s in self.instance.stops], self.instance.cells
+            )
+            blocks = (grid - heat)[:, None, None] * cells.loss.hessian
+            blocks += dual("least_dwell", m)[:, None, None] * cells.least_dwell.hessian
+            blocks += pump[:, None, None] * cells.pump_heat.hessian
+            blocks += (heat * conductance)[:, None, None] * cells.exchange.hessian
+            blocks -= dual("grid_limit", m)[:, None, None] * cells.grid_limit.hessian
+            blocks = convex_part(blocks, CELL_SCALE)
+            full = self._cell_change.T @ blocks @ self._cell_change
+            a, b = self._upper[1]
+            values.append(full[:, a, b].ravel())
+        return self._pattern.matrix(np.concatenate(values))
+
+    def build(
+        self,
+        trajectory: Trajectory,
+        drive: DriveExpansion,
+        cells: CellExpansion | None,
+        multipliers: Array | None,
+        penalty: Array,
+        trust: TrustRegion,
+    ) -> StepProgram:
+        """Return the program at a trajectory.
+
+        Parameters
+        ----------
+        trajectory : Trajectory
+            The current iterate.
+        drive, cells : DriveExpansion, CellExpansion or None
+            Its expansions; no cells without stops.
+        multipliers : ndarray or None
+            Dual solution of the program before, shape (rows,).
+        penalty : ndarray, shape (4,)
+            Price of violated limits of energy, temperature, discharge power and dwell
+            [currency per kWh, K, kW, h].
+        trust : TrustRegion
+            Bounds of the step.
+        """
+        values: dict[str, tuple[Coefficients, Array | float]] = {
+            "origin": ((1.0,), 0.0),
+            "slack_min": ((-1.0,), 0.0),
+            "slack_max": ((1.0,), trajectory.violation + SLACK_ROOM),
+        }
+        self._drive_values(values, trajectory, drive, trust)
+        q = np.zeros(self.n_columns)
+        q[self.slack] = penalty
+        price = np.zeros(0)
+        if cells is not None:
+            price = self._cell_values(values, trajectory, cells, trust, q)
+        A, b = self.rows.assemble(values)
+        P = self._hessian(drive, cells, multipliers, price)
+        return StepProgram(P, q, A, b, self.n_eq)
+
+    def _drive_values(
+        self,
+        values: dict[str, tuple[Coefficients, Array | float]],
+        now: Trajectory,
+        terms: DriveExpansion,
+        trust: TrustRegion,
+    ) -> None:
+        instance, vehicle, drive = self.instance, self.instance.vehicle, self.instance.drive
+        d, cabin = drive.duration_h, vehicle.heater_cabin_efficiency
+        loss, pump = terms.loss.gradient, terms.pump_heat.gradient
+        pumps = self.has_pump
+
+        def spread(by_p: Array, by_t: Array, by_e: Array) -> tuple[Array, Array, Array, Array]:
+            """Chain rule from (P, T, E) of the step to (E+, E', T+, T')."""
+            return by_p / d + 0.5 * by_e, -by_p / d + 0.5 * by_e, 0.5 * by_t, 0.5 * by_t
+
+        # balance and heat are stated in kWh: times the duration
+        rows = spread(
+            d * (1.0 - loss[:, 0]), d * (pump[:, 1] / cabin - loss[:, 1]), -d * loss[:, 2]
+        )
+        tail: Coefficients = (d * (pump[:, 3] / cabin - 1.0),) if pumps else ()
+        brake = np.zeros(d.size)
+        brake[self.regen] = -d[self.regen]
+        values["balance"] = ((*rows, -d, -d, *tail, brake), 0.0)
+        rows = spread(
+            -d * loss[:, 0],
+            d * (pump[:, 1] - loss[:, 1] + drive.heat_loss_kw_per_k),
+            -d * loss[:, 2],
+        )
+        storage = vehicle.pack.heat_capacity_kwh_per_k
+        tail = (d * (pump[:, 3] - 1.0),) if pumps else ()
+        values["heat"] = (
+            (
+                rows[0],
+                rows[1],
+                rows[2] - storage,
+                rows[3] + storage,
+                -d * vehicle.heater_battery_efficiency,
+                d * vehicle.cooling_cop,
+                *tail,
+            ),
+            0.0,
+        )
+        relief = -0.5 * pump[:, 1] / cabin
+        tail = (-pump[:, 3] / cabin,) if pumps else ()
+        free = vehicle.heater_kw - now.cabin_heater_kw - now.heater_kw
+        values["heater_min"] = ((-1.0,), now.heater_kw)
+        values["heater_max"] = ((1.0, relief, relief, *tail), np.maximum(free, 0.0))
+        values["cooling_min"] = ((-1.0,), now.cooling_kw)
+        values["cooling_max"] = ((1.0,), vehicle.cooling_kw - now.cooling_kw)
+        end = now.energy_kwh[1 : d.size + 1]
+        values["energy_min"] = ((-1.0, -1.0), end - instance.energy_min_kwh[1:])
+        values["energy_max"] = ((1.0, -1.0), instance.energy_max_kwh - end)
+        temp = np.concatenate([now.temperature_c[1:], *(s.temperature_c[1:] for s in now.stops)])
+        reach = trust.temperature_k
+        above = instance.temperature_max_c - MARGIN_K - temp
+        below = temp - MARGIN_K - instance.temperature_min_c
+        # one row for limit and trust region: whichever is nearer; only the limit is elastic
+        values["temperature_max"] = ((1.0, -1.0 * (above < reach)), np.minimum(reach, above))
+        values["temperature_min"] = ((-1.0, -1.0 * (below < reach)), np.minimum(reach, below))
+        limit, by_e, by_t = terms.discharge_limit
+        values["discharge"] = (
+            (*spread(np.ones(d.size), -by_t, -by_e), -1.0),
+            limit - MARGIN_KW - now.power_kw,
+        )
+        if pumps:
+            values["pump_min"] = ((-1.0,), now.heat_pump_kw)
+            values["pump_max"] = ((1.0,), vehicle.heat_pump_kw - now.heat_pump_kw)
+            room = np.maximum(drive.cabin_heat_kw - now.pump_heat_kw, 0.0)
+            values["cabin"] = ((0.5 * pump[:, 1], 0.5 * pump[:, 1], pump[:, 3]), room)
+        if self.regen.size:
+            limit, by_e, by_t = terms.charge_limit
+            rows = spread(-np.ones(d.size), -by_t, -by_e)
+            slack = np.maximum(limit + now.power_kw, 0.0)
+            values["regen"] = (tuple(c[self.regen] for c in rows), slack[self.regen])
+            values["brake_min"] = ((-1.0,), now.brake_kw[self.regen])
+            most = -drive.base_kw[self.regen]
+            values["brake_max"] = ((1.0,), np.maximum(most - now.brake_kw[self.regen], 0.0))
+
+    def _cell_values(
+        self,
+        values: dict[str, tuple[Coefficients, Array | float]],
+        now: Trajectory,
+        terms: CellExpansion,
+        trust: TrustRegion,
+        q: Array,
+    ) -> Array:
+        """Fill the rows of the stops and the objective; return the energy price per cell."""
+        instance, vehicle, pumps = self.instance, self.instance.vehicle, self.has_pump
+        cells, stops = instance.cells, instance.stops
+
+        def per_cell(values: list[float]) -> Array:
+            return np.repeat(np.array(values), cells)
+
+        def joined(name: str) -> Array:
+            return np.concatenate([getattr(s, name) for s in now.stops])
+
+        def spread(g: Array) -> Coefficients:
+            """Gradient by (W, y, T, E_arrive, H_p) to the columns of a cell."""
+            half = 0.5 * g[:, 2]
+            return (g[:, 0], g[:, 1], half, half, g[:, 3], *((g[:, 4],) if pumps else ()))
+
+        y = joined("dwell_h")
+        heater, cooling, pump = (
+            y * joined(name) for name in ("heater_kw", "cooling_kw", "heat_pump_kw")
+        )
+        demand = per_cell([s.cabin_heat_kw for s in stops])
+        base = per_cell([s.base_kw for s in stops])
+        conductance = per_cell([s.heat_loss_kw_per_k for s in stops])
+        ambient = per_cell([s.ambient_c for s in stops])
+        cabin = vehicle.heater_cabin_efficiency
+        unit = np.eye(5)
+        loss, heat = terms.loss.gradient, terms.pump_heat.gradient
+
+        rate = heat - loss + conductance[:, None] * (
+            terms.exchange.gradient - ambient[:, None] * unit[1]
+        )
+        rate = rate - unit[4]
+        rows = list(spread(rate))
+        storage = vehicle.pack.heat_capacity_kwh_per_k
+        rows[2], rows[3] = rows[2] - storage, rows[3] + storage
+        values["cell_heat"] = (
+            (*rows, -vehicle.heater_battery_efficiency, vehicle.cooling_cop),
+            0.0,
+        )
+        values["leave"] = ((1.0, -1.0, -1.0), 0.0)
+
+        grid = loss + unit[0] / cells + unit[4] - heat / cabin
+        grid = grid + (base + demand / cabin)[:, None] * unit[1]
+        limit = grid - terms.grid_limit.gradient
+        used = joined("grid_kwh")
+        values["grid_limit"] = (
+            (*spread(limit), 1.0, 1.0),
+            np.maximum(terms.grid_limit.value - used, 0.0),
+        )
+        values["least_dwell"] = (
+            spread(terms.least_dwell.gradient - unit[1]),
+            np.maximum(y - terms.least_dwell.value, 0.0),
+        )
+        room = vehicle.heater_kw * y - heater - y * joined("cabin_heater_kw")
+        values["cell_heater_min"] = ((-1.0,), heater)
+        values["cell_heater_max"] = (
+            (
+                *spread((demand / cabin - vehicle.heater_kw)[:, None] * unit[1] - heat / cabin),
+                1.0,
+            ),
+            np.maximum(room, 0.0),
+        )
+        values["cell_cooling_min"] = ((-1.0,), cooling)
+        values["cell_cooling_max"] = (
+            (1.0, -vehicle.cooling_kw),
+            np.maximum(vehicle.cooling_kw * y - cooling, 0.0),
+        )
+        if pumps:
+            values["cell_pump_min"] = ((-1.0,), pump)
+            values["cell_pump_max"] = (
+                (1.0, -vehicle.heat_pump_kw),
+                np.maximum(vehicle.heat_pump_kw * y - pump, 0.0),
+            )
+            spare = demand * y - y * joined("pump_heat_kw")
+            values["cell_cabin"] = (
+                spread(heat - demand[:, None] * unit[1]),
+                np.maximum(spare, 0.0),
+            )
+        self._stop_values(values, now, trust)
+
+        price = per_cell([s.price_per_kwh for s in stops])
+        money = spread(price[:, None] * grid + per_cell([s.time_price_per_h for s in stops])[:, None] * unit[1])
+        columns = self.rows.columns["least_dwell"]
+        for column, value in zip(columns, money, strict=True):
+            np.add.at(q, column, value)
+        q[self.cell_heater] += price
+        q[self.cell_cooling] += price
+        q[self.occupancy] = [s.occupancy_price_per_h for s in stops]
+        return price
+
+    def _stop_values(
+        self,
+        values: dict[str, tuple[Coefficients, Array | float]],
+        now: Trajectory,
+        trust: TrustRegion,
+    ) -> None:
+        instance, stops = self.instance, self.instance.stops
+        arrive = np.array([s.energy_kwh[0] for s in now.stops])
+        full = np.array([s.energy_kwh[-1] for s in now.stops])
+        dwell = np.array([float(s.dwell_h.sum()) for s in now.stops])
+        first = np.array([s.arrive_min_kwh for s in stops])
+        last = np.array([s.leave_min_kwh for s in stops])
+        out = np.array([s.detour_out_kwh for s in stops])
+        free = np.array([s.occupancy_free_h for s in stops])
+        longest = np.array([s.max_dwell_h for s in stops])
+        charged = full - arrive
+        values["arrive_min"] = ((-1.0, -1.0), arrive - first)
+        values["leave_min"] = ((-1.0, -1.0), full - out - last)
+        values["charged_full"] = ((1.0, 1.0, -1.0), instance.energy_max_kwh - full)
+        values["charged_min"] = ((-1.0,), np.maximum(charged - MIN_CHARGE_KWH, 0.0))
+        values["charged_trust_max"] = ((1.0,), trust.energy_kwh)
+        values["charged_trust_min"] = ((-1.0,), trust.energy_kwh)
+        ones = (1.0,) * instance.cells
+        values["dwell_max"] = ((*ones, -1.0), longest - MARGIN_H - dwell)
+        # the occupancy column is the occupied time itself, not a change
+        values["occupancy_min"] = ((-1.0,), 0.0)
+        values["occupancy"] = ((*ones, -1.0), free - dwell)
+
+    def corrected(
+        self, program: StepProgram, x: Array, now: Trajectory, then: Trajectory
+    ) -> StepProgram:
+        """Return the program with its limits shifted by what the linear model missed.
+
+        Second-order correction: the step ``x`` was predicted to reach a state and
+        reached another one; the limits of energy and temperature are moved by the
+        difference, so the next step lands on them.
+
+        Parameters
+        ----------
+        program : StepProgram
+            The program whose step was simulated.
+        x : ndarray, shape (columns,)
+            Its solution.
+        now, then : Trajectory
+            Before and after the step.
+        """
+        b = program.b.copy()
+        n = self.instance.drive.n_steps
+
+        def temperatures(t: Trajectory) -> Array:
+            return np.concatenate([t.temperature_c[1:], *(s.temperature_c[1:] for s in t.stops)])
+
+        missed = temperatures(then) - temperatures(now) - x[self.all_temperatures]
+        b[self.rows.slices["temperature_max"]] -= missed
+        b[self.rows.slices["temperature_min"]] += missed
+        missed = (then.energy_kwh - now.energy_kwh - x[self.energy])[1 : n + 1]
+        b[self.rows.slices["energy_min"]] += missed
+        if self.instance.stops:
+            arrive = np.array([s.energy_kwh[0] for s in then.stops])
+            arrive -= np.array([s.energy_kwh[0] for s in now.stops])
+            b[self.rows.slices["arrive_min"]] += arrive - x[self.arrive_energy]
+        return replace(program, b=b)

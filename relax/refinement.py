@@ -1,0 +1,371 @@
+"""Owns the search for a locally optimal plan of one subset: sequential convex quadratic programs.
+
+Every iterate is an exactly simulated trajectory, so a plan is always feasible in
+the dynamics; limits of state enter through an exact penalty. An approximation:
+it suggests plans and never proves anything. Method and what failed: docs/refinement.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from math import inf
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from relax.expansion import expand_cells, expand_drive
+from relax.instance import MIN_CHARGE_KWH, Instance
+from relax.plan import Controls, StopControls, Trajectory
+from relax.quadratic import QuadraticStep, StepProgram, TrustRegion
+from relax.simulate import simulate
+from relax.solve import QpSolution, SolveStatus, solve_qp
+
+__all__ = ["Refined", "RefineSettings", "complete", "merit", "refine"]
+
+Array = npt.NDArray[np.float64]
+
+AT_LIMIT = 1e-5
+"""Slack below which a control counts as lying on its limit [kW, kWh or h]."""
+END_TOLERANCE_KWH = 1e-6
+"""How exactly the energy at the end of the trip meets its limit [kWh]."""
+NEARLY_FEASIBLE = 1e-2
+"""Violation that further steps are worth, however little they gain [kWh, K, kW, h]."""
+MAX_PASSES = 6
+"""Bound on the simulations that meet the energy limits; each gains a factor of about 50."""
+FEASIBLE = 2e-6
+"""Violation that counts as none [kWh, K, kW, h]."""
+
+
+@dataclass(frozen=True)
+class RefineSettings:
+    """When to stop and how to solve.
+
+    Parameters
+    ----------
+    tolerance : float
+        Predicted relative decrease of the cost at which to stop.
+    max_programs : int
+        Bound on the quadratic programs.
+    solver : {"clarabel", "osqp"}
+        Who solves them.
+    solver_tolerance : float
+        Tolerance of each program.
+    """
+
+    tolerance: float = 2e-5
+    max_programs: int = 40
+    solver: Literal["clarabel", "osqp"] = "clarabel"
+    solver_tolerance: float = 1e-6
+
+
+@dataclass(frozen=True)
+class Refined:
+    """A locally optimal plan of one subset.
+
+    Parameters
+    ----------
+    controls : Controls
+        What the car executes.
+    trajectory : Trajectory
+        What the transcription says happens.
+    feasible : bool
+        No limit violated by more than rounding.
+    programs : int
+        Quadratic programs solved.
+    solve_s : float
+        Time inside the solver [s].
+    """
+
+    controls: Controls
+    trajectory: Trajectory
+    feasible: bool
+    programs: int
+    solve_s: float
+
+
+def is_feasible(trajectory: Trajectory) -> bool:
+    """Return whether no limit is violated by more than rounding."""
+    return float(trajectory.violation.max()) <= FEASIBLE
+
+
+def penalty_prices(instance: Instance) -> Array:
+    """Return the prices of violated limits, shape (4,) [currency per kWh, K, kW, h].
+
+    Far above what a kWh can be worth on the trip: its energy price, and its share of
+    the dwell at a slow, cold charger; so the penalty is exact. The others weigh
+    10 K, 10 kW and 6 minutes like 1 kWh.
+    """
+    prices = [abs(s.price_per_kwh) for s in instance.stops]
+    hours = [s.time_price_per_h + s.occupancy_price_per_h for s in instance.stops]
+    price = 20.0 * max([0.1, *prices]) + 2.0 * max([0.0, *hours])
+    return price * np.array([1.0, 0.1, 0.1, 10.0])
+
+
+def merit(instance: Instance, trajectory: Trajectory) -> float:
+    """Return cost plus penalty of a trajectory [currency]."""
+    return trajectory.cost + float(penalty_prices(instance) @ trajectory.violation)
+
+
+def complete(
+    instance: Instance, controls: Controls, tight: frozenset[int] = frozenset()
+) -> tuple[Controls, Trajectory]:
+    """Simulate, with charged energies such that binding energy limits are met exactly.
+
+    Parameters
+    ----------
+    instance : Instance
+        Subset and grid.
+    controls : Controls
+        Any controls; only charged energies change.
+    tight : frozenset of int
+        Stops at which the car is to arrive with the least energy: the stop before
+        each gives or takes what is missing. The largest stop after the last of them
+        makes the trip end at its least energy.
+
+    Returns
+    -------
+    tuple of Controls and Trajectory
+        The limits are met to 1e-6 kWh unless a full or an empty battery prevents it.
+    """
+    trajectory = simulate(instance, controls)
+    for _ in range(MAX_PASSES if instance.stops else 0):
+        energies = _corrected(instance, controls, trajectory, tight)
+        if energies is None:
+            break
+        stops = tuple(
+            replace(s, energy_kwh=w) for s, w in zip(controls.stops, energies, strict=True)
+        )
+        controls = replace(controls, stops=stops)
+        trajectory = simulate(instance, controls)
+    return controls, trajectory
+
+
+def _corrected(
+    instance: Instance, controls: Controls, trajectory: Trajectory, tight: frozenset[int]
+) -> list[float] | None:
+    """Return charged energies that meet the energy limits to first order; None if met."""
+    charged = [s.energy_kwh for s in controls.stops]
+    arrive = [float(s.energy_kwh[0]) for s in trajectory.stops]
+    before = list(charged)
+    added = 0.0
+    first = 0
+
+    def shift(i: int, amount: float) -> float:
+        full = instance.energy_max_kwh - arrive[i] - added
+        target = max(min(charged[i] + amount, full), MIN_CHARGE_KWH)
+        amount, charged[i] = target - charged[i], target
+        return amount
+
+    for m in range(1, len(charged)):
+        missing = instance.stops[m].arrive_min_kwh - arrive[m] - added
+        if m in tight or missing > END_TOLERANCE_KWH:
+            added += shift(m - 1, missing)
+            first = m
+    missing = instance.end_energy_min_kwh - trajectory.final_energy_kwh - added
+    for i in sorted(range(first, len(charged)), key=lambda i: (-charged[i], i)):
+        missing -= shift(i, missing)
+        if abs(missing) <= END_TOLERANCE_KWH:
+            break
+    moved = max(abs(a - b) for a, b in zip(before, charged, strict=True))
+    return charged if moved > END_TOLERANCE_KWH else None
+
+
+def applied(controls: Controls, trajectory: Trajectory) -> Controls:
+    """Return the controls as the simulation applied them, after clipping."""
+    return replace(
+        controls,
+        heater_kw=trajectory.heater_kw,
+        cooling_kw=trajectory.cooling_kw,
+        heat_pump_kw=trajectory.heat_pump_kw,
+        stops=tuple(
+            StopControls(
+                energy_kwh=c.energy_kwh,
+                power_kw=s.power_kw,
+                heater_kw=s.heater_kw,
+                cooling_kw=s.cooling_kw,
+                heat_pump_kw=s.heat_pump_kw,
+            )
+            for c, s in zip(controls.stops, trajectory.stops, strict=True)
+        ),
+    )
+
+
+def _next_controls(
+    step: QuadraticStep, program: StepProgram, x: Array, now: Trajectory, length: float
+) -> Controls:
+    """Return the controls at ``length`` times the program's step.
+
+    What lies on a limit stays *on the limit*: the simulation clips it there,
+    wherever the limit moves with the temperature.
+    """
+    vehicle, rows = step.instance.vehicle, step.rows.slices
+    spare = program.b - program.A @ x
+
+    def bound(name: str) -> npt.NDArray[np.bool_]:
+        return np.asarray(spare[rows[name]] <= AT_LIMIT)
+
+    x = length * x
+    heater = np.where(
+        bound("heater_max"), vehicle.heater_kw, np.maximum(now.heater_kw + x[step.heater], 0.0)
+    )
+    cooling = np.clip(now.cooling_kw + x[step.cooling], 0.0, vehicle.cooling_kw)
+    pump = np.zeros_like(heater)
+    if step.has_pump:
+        wanted = np.clip(now.heat_pump_kw + x[step.pump], 0.0, vehicle.heat_pump_kw)
+        pump = np.where(bound("cabin"), vehicle.heat_pump_kw, wanted)
+    stops: list[StopControls] = []
+    cells = step.instance.cells
+    for i, done in enumerate(now.stops):
+        part = slice(i * cells, (i + 1) * cells)
+        y = done.dwell_h + x[step.dwell[part]]
+        y = np.maximum(y, 0.05 * done.dwell_h)
+        charged = float(done.energy_kwh[-1] - done.energy_kwh[0]) + float(x[step.charged[i]])
+        charged = max(charged, MIN_CHARGE_KWH)
+
+        def power(before: Array, change: Array, y: Array = y, done_h: Array = done.dwell_h) -> Array:
+            return np.maximum((before * done_h + change) / y, 0.0)
+
+        fast = bound("least_dwell")[part] | bound("grid_limit")[part]
+        cell_heater = power(done.heater_kw, x[step.cell_heater[part]])
+        cell_heater[bound("cell_heater_max")[part]] = vehicle.heater_kw
+        cell_pump = np.zeros(cells)
+        if step.has_pump:
+            cell_pump = power(done.heat_pump_kw, x[step.cell_pump[part]])
+            cell_pump = np.minimum(cell_pump, vehicle.heat_pump_kw)
+            full = bound("cell_cabin")[part] | bound("cell_pump_max")[part]
+            cell_pump[full] = vehicle.heat_pump_kw
+        cell_cooling = power(done.cooling_kw, x[step.cell_cooling[part]])
+        stops.append(
+            StopControls(
+                energy_kwh=charged,
+                power_kw=np.where(fast, inf, charged / cells / y),
+                heater_kw=cell_heater,
+                cooling_kw=np.minimum(cell_cooling, vehicle.cooling_kw),
+                heat_pump_kw=cell_pump,
+            )
+        )
+    return Controls(heater, cooling, pump, tuple(stops))
+
+
+def _tight_arrivals(step: QuadraticStep, program: StepProgram, x: Array) -> frozenset[int]:
+    """Return the stops at which the program arrives with the least energy."""
+    if not step.instance.stops:
+        return frozenset()
+    rows = step.rows.slices["arrive_min"]
+    spare = program.b[rows] - (program.A @ x)[rows]
+    return frozenset(np.flatnonzero(spare <= AT_LIMIT).tolist())
+
+
+def refine(
+    instance: Instance,
+    start: Controls,
+    settings: RefineSettings | None = None,
+    step: QuadraticStep | None = None,
+) -> Refined:
+    """Improve controls to a locally optimal plan of the transcription.
+
+    Parameters
+    ----------
+    instance : Instance
+        Subset and grid.
+    start : Controls
+        Any controls.
+    settings : RefineSettings, optional
+        When to stop and how to solve.
+    step : QuadraticStep, optional
+        Program structure of this instance, if it was made before.
+
+    Returns
+    -------
+    Refined
+        The best iterate; ``feasible`` says whether it keeps every limit.
+    """
+    settings = settings or RefineSettings()
+    step = step or QuadraticStep(instance)
+    controls, now = complete(instance, start)
+    value = merit(instance, now)
+    trust = TrustRegion()
+    multipliers: Array | None = None
+    penalty = penalty_prices(instance)
+    programs, seconds = 0, 0.0
+
+    def solve(program: StepProgram) -> QpSolution:
+        nonlocal programs, seconds
+        solution = solve_qp(
+            program.P,
+            program.q,
+            program.A,
+            program.b,
+            program.n_eq,
+            solver=settings.solver,
+            tolerance=settings.solver_tolerance,
+        )
+        programs += 1
+        seconds += solution.solve_s
+        return solution
+
+    while programs < settings.max_programs:
+        drive = expand_drive(instance, now)
+        cells = expand_cells(instance, now) if now.stops else None
+        accepted = False
+        while programs < settings.max_programs:
+            program = step.build(now, drive, cells, multipliers, penalty, trust)
+            solution = solve(program)
+            if solution.status not in (SolveStatus.SOLVED, SolveStatus.INACCURATE):
+                return Refined(controls, now, is_feasible(now), programs, seconds)
+            x = solution.x
+            model = now.cost + float(program.q @ x + 0.5 * x @ (_symmetric(program.P, x)))
+            model -= _occupancy(instance, now)
+            predicted = value - model
+            near = FEASIBLE < float(now.violation.max()) < NEARLY_FEASIBLE
+            least = settings.tolerance * max(abs(value), 1.0)
+            if predicted <= (1e-3 * least if near else least):
+                return Refined(controls, now, is_feasible(now), programs, seconds)
+            tight = _tight_arrivals(step, program, x)
+            trial, then = complete(instance, _next_controls(step, program, x, now, 1.0), tight)
+            gained = value - merit(instance, then)
+            if gained <= 0.05 * predicted and not is_feasible(then):
+                program = step.corrected(program, x, now, then)
+                solution = solve(program)
+                x = solution.x
+                trial, then = complete(instance, _next_controls(step, program, x, now, 1.0), tight)
+                gained = value - merit(instance, then)
+            if gained > 0.05 * predicted:
+                accepted = True
+                break
+            trust = trust.scaled(0.35)
+        if not accepted:
+            break
+        if gained > 1.25 * predicted:
+            for length in (2.0, 4.0, 8.0, 16.0):
+                longer, far = complete(
+                    instance, _next_controls(step, program, x, now, length), tight
+                )
+                if merit(instance, far) >= merit(instance, then):
+                    break
+                trial, then = longer, far
+        if gained > 0.6 * predicted and trust.temperature_k < 16.0:
+            trust = trust.scaled(1.6)
+        controls, now, value = trial, then, merit(instance, then)
+        multipliers = solution.z
+    return Refined(controls, now, is_feasible(now), programs, seconds)
+
+
+def _symmetric(upper: object, x: Array) -> Array:
+    """Return P x for P given by its upper triangle."""
+    return np.asarray(upper @ x + upper.T @ x - upper.diagonal() * x)  # type: ignore[attr-defined]
+
+
+def _occupancy(instance: Instance, now: Trajectory) -> float:
+    """Return the occupancy cost of a trajectory: the program counts it anew, not as a change."""
+    return sum(
+        s.occupancy_price_per_h * max(0.0, float(done.dwell_h.sum()) - s.occupancy_free_h)
+        for s, done in zip(instance.stops, now.stops, strict=True)
+    )
+
+
+def best_of(candidates: Iterable[Refined], instance: Instance) -> Refined:
+    """Return the candidate of least merit; the first of equals."""
+    return min(candidates, key=lambda c: merit(instance, c.trajectory))
