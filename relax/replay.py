@@ -1,0 +1,516 @@
+"""Owns the judge of a plan: the car driving it on the continuous model, sample by sample.
+
+Written apart from the transcription: it reads the trip, not the instance's
+averages, and integrates with an adaptive Runge-Kutta method. The controls are
+schedules; at a stop the car charges to the planned energy, the battery and the
+charger clip the power, and the dwell is an outcome. Imports neither solver nor
+program. The only source of reported costs.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import sqrt
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from relax.errors import DomainError
+from relax.instance import Instance, Stop
+from relax.plan import Controls, StopControls
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from relax.trip import Trip
+
+__all__ = ["Replay", "ReplayStop", "Violation", "replay"]
+
+Array = npt.NDArray[np.float64]
+
+RELATIVE_TOLERANCE = 1e-9
+"""Local error of the integrator, relative."""
+ABSOLUTE_TOLERANCE = 1e-9
+"""Local error of the integrator [kWh, K, h]."""
+SHORTFALL_KWH = 1e-5
+"""Missing energy that is rounding of the integration, about a second of parked consumption [kWh]."""
+EXCESS_K = 1e-3
+"""Temperature excess that is rounding [K]."""
+EXCESS_KW = 0.05
+"""Excess over the sustained discharge limit that is rounding [kW]."""
+EXCESS_H = 1e-4
+"""Excess over the longest dwell that is rounding: 0.4 s [h]."""
+
+(ENERGY, TEMPERATURE, CLOCK, GRID, LOSS, BASE, HEATER, CABIN, COOLING, PUMP, PUMP_HEAT, AMBIENT, DRIVETRAIN, BRAKE) = range(14)  # fmt: skip
+"""Components of the integrated state: two states, the clock, and energies since departure."""
+
+
+@dataclass(frozen=True)
+class Violation:
+    """A broken rule.
+
+    Parameters
+    ----------
+    rule : str
+        Which limit.
+    position_km : float
+        Where.
+    amount : float
+        By how much, > 0.
+    unit : str
+        Unit of ``amount``.
+    """
+
+    rule: str
+    position_km: float
+    amount: float
+    unit: str
+
+    def __str__(self) -> str:
+        """Return one line for people."""
+        return f"{self.rule} at {self.position_km:.1f} km by {self.amount:.4g} {self.unit}"
+
+
+@dataclass(frozen=True)
+class ReplayStop:
+    """One stop as driven.
+
+    Parameters
+    ----------
+    charger : int
+        Index into ``trip.chargers``.
+    arrive_energy_kwh, depart_energy_kwh : float
+        After the detour in and before the detour out [kWh].
+    arrive_temperature_c, depart_temperature_c : float
+        Battery temperature [degrees C].
+    dwell_h, grid_kwh, cost : float
+        Outcome [h, kWh, currency].
+    energy_kwh, temperature_c, clock_h : ndarray, shape (K + 1,)
+        State at the cell borders; the clock counts from plugging in.
+    """
+
+    charger: int
+    arrive_energy_kwh: float
+    depart_energy_kwh: float
+    arrive_temperature_c: float
+    depart_temperature_c: float
+    dwell_h: float
+    grid_kwh: float
+    cost: float
+    energy_kwh: Array
+    temperature_c: Array
+    clock_h: Array
+
+
+@dataclass(frozen=True)
+class Replay:
+    """A driven plan.
+
+    Parameters
+    ----------
+    cost : float
+        What the trip costs [currency]: the reported cost.
+    stops : tuple of ReplayStop
+        The stops.
+    position_km, energy_kwh, temperature_c : ndarray, shape (m + 1,)
+        State at the borders of the route's samples, on arrival.
+    node_energy_kwh, node_temperature_c : ndarray, shape (n + 1,)
+        State at the nodes of the transcription, on arrival.
+    final_energy_kwh, final_temperature_c : float
+        State at the end.
+    totals_kwh : dict of str to float
+        Energies of the whole trip by use.
+    balance_kwh, heat_balance_kwh : float
+        What the sums of electrical and of thermal energies miss; rounding only.
+    violations : tuple of Violation
+        Broken limits; empty: the plan is feasible.
+    """
+
+    cost: float
+    stops: tuple[ReplayStop, ...]
+    position_km: Array
+    energy_kwh: Array
+    temperature_c: Array
+    node_energy_kwh: Array
+    node_temperature_c: Array
+    final_energy_kwh: float
+    final_temperature_c: float
+    totals_kwh: dict[str, float]
+    balance_kwh: float
+    heat_balance_kwh: float
+    violations: tuple[Violation, ...]
+
+    @property
+    def feasible(self) -> bool:
+        """Whether no limit is broken."""
+        return not self.violations
+
+
+class _Car:
+    """The exact equations (P1) .. (P7) in floats, for one right-hand side at a time."""
+
+    def __init__(self, trip: Trip) -> None:
+        vehicle, pack = trip.vehicle, trip.vehicle.pack
+        self.vehicle = vehicle
+        self.resistance = pack.resistance_ohm.at
+        self.voltage_squared = pack.voltage_squared.at
+        self.cop = vehicle.heat_pump_cop.at
+        self.charge_limit = pack.charge_limit_kw.at
+        self.discharge_limit = pack.discharge_limit_kw.at
+        self.capacity = pack.heat_capacity_kwh_per_k
+
+    def heating(
+        self, temp: float, demand: float, heater_set: float, pump_set: float
+    ) -> tuple[float, float, float, float]:
+        """Return heater, heat pump, its heat and cabin heater power, clipped to what is asked."""
+        v = self.vehicle
+        pump = heat = 0.0
+        if pump_set > 0.0 and demand > 0.0:
+            cop, droop = self.cop(temp), v.heat_pump_droop_per_kw
+            pump = min(pump_set, v.heat_pump_kw)
+            heat = cop * pump * (1.0 - droop * pump)
+            if heat > demand:
+                ratio = demand / cop
+                pump = 2.0 * ratio / (1.0 + sqrt(1.0 - 4.0 * droop * ratio))
+                heat = demand
+        cabin = (demand - heat) / v.heater_cabin_efficiency
+        return max(min(heater_set, v.heater_kw - cabin), 0.0), pump, heat, cabin
+
+    def rates(
+        self,
+        power: float,
+        r: float,
+        use: tuple[float, float, float, float, float, float],
+        climate: tuple[float, float, float],
+        grid: float,
+        temp: float,
+    ) -> list[float]:
+        """Return the time derivatives of the integrated state."""
+        v = self.vehicle
+        base, heater, cooling, pump, heat, cabin = use
+        ambient, conductance, drivetrain = climate
+        loss = r * power * power
+        exchange = conductance * (ambient - temp)
+        flow = (
+            loss
+            + drivetrain
+            + v.heater_battery_efficiency * heater
+            - v.cooling_cop * cooling
+            - (heat - pump)
+            + exchange
+        )
+        return [
+            -power, flow / self.capacity, 1.0, grid, loss, base, heater, cabin, cooling, pump, heat,
+            exchange, drivetrain, 0.0,
+        ]  # fmt: skip
+
+
+def _discharge(load: float, r: float) -> float:
+    """Return the internal power that serves a load (P3)."""
+    root = 1.0 - 4.0 * r * load
+    if root < 0.0:
+        raise DomainError("the electrical load exceeds the largest power of the pack")
+    return 2.0 * load / (1.0 + sqrt(root))
+
+
+class _Driver:
+    """Carries the state along the trip and notes what breaks."""
+
+    def __init__(self, trip: Trip, instance: Instance) -> None:
+        from scipy.integrate import ode
+
+        self.trip, self.instance, self.car = trip, instance, _Car(trip)
+        self.state = [instance.start_energy_kwh, instance.start_temperature_c, *[0.0] * 12]
+        self.violations: dict[str, Violation] = {}
+        self._ode = ode
+
+    def integrate(self, rates: Callable[[float, list[float]], list[float]], span: float) -> None:
+        """Advance the state over a span of the independent variable."""
+        solver = self._ode(rates).set_integrator(
+            "dopri5", rtol=RELATIVE_TOLERANCE, atol=ABSOLUTE_TOLERANCE, first_step=span, nsteps=10000
+        )
+        solver.set_initial_value(self.state, 0.0)
+        self.state = solver.integrate(span).tolist()
+        if not solver.successful():
+            raise DomainError("the integration of the continuous model did not converge")
+
+    def note(self, rule: str, km: float, amount: float, unit: str, allowed: float) -> None:
+        """Keep the largest violation of every rule."""
+        if amount > allowed and (
+            rule not in self.violations or amount > self.violations[rule].amount
+        ):
+            self.violations[rule] = Violation(rule, km, amount, unit)
+
+    def check_temperature(self, km: float) -> None:
+        """Note a temperature outside the limits."""
+        instance, temp = self.instance, self.state[TEMPERATURE]
+        over = temp - instance.temperature_max_c
+        self.note("battery temperature above its limit", km, over, "K", EXCESS_K)
+        under = instance.temperature_min_c - temp
+        self.note("battery temperature below its limit", km, under, "K", EXCESS_K)
+
+    def brake(self, k: int, heater: float, cooling: float, pump: float) -> float:
+        """Return the recuperation refused over step k, from its mean power at its start [kW].
+
+        The charge limit is a sustained limit: it holds for the mean over a
+        step, as in the transcription; pulses within are allowed.
+        """
+        drive = self.instance.drive
+        if drive.base_kw[k] >= 0.0:
+            return 0.0
+        energy, temp = self.state[ENERGY], self.state[TEMPERATURE]
+        r = self.car.resistance(temp) / self.car.voltage_squared(energy)
+        heater, pump, _, cabin = self.car.heating(
+            temp, float(drive.cabin_heat_kw[k]), heater, pump
+        )
+        ripple = float(drive.ripple_kw2[k])
+        load = float(drive.base_kw[k]) + heater + cooling + pump + cabin
+        limit = self.car.charge_limit(energy, temp)
+        if _discharge(load + r * ripple, r) >= -limit:
+            return 0.0
+        return max(-limit - r * (limit * limit + ripple) - load, 0.0)
+
+    def drive_sample(
+        self, j: int, hours: float, setting: tuple[float, float, float], brake: float
+    ) -> None:
+        """Drive part of route sample j with constant settings."""
+        car, route, vehicle = self.car, self.trip.route, self.trip.vehicle
+        ambient = float(route.ambient_c[j])
+        climate = (
+            ambient,
+            vehicle.heat_loss_kw_per_k.at(float(route.speed_kmh[j])),
+            float(route.drivetrain_heat_kw[j]),
+        )
+        demand = vehicle.cabin_heating_kw.at(ambient)
+        base = float(route.propulsion_kw[j]) + vehicle.auxiliary_kw + brake
+        base += vehicle.cabin_cooling_kw.at(ambient)
+        heater_set, cooling, pump_set = setting
+
+        def rates(_: float, y: list[float]) -> list[float]:
+            energy, temp = y[0], y[1]
+            heater, pump, heat, cabin = car.heating(temp, demand, heater_set, pump_set)
+            r = car.resistance(temp) / car.voltage_squared(energy)
+            power = _discharge(base + heater + cooling + pump + cabin, r)
+            return car.rates(
+                power, r, (base, heater, cooling, pump, heat, cabin), climate, 0.0, temp
+            )
+
+        self.integrate(rates, hours)
+        self.state[BRAKE] += brake * hours
+
+    def charge(
+        self, stop: Stop, setting: StopControls, target_kwh: float, km: float
+    ) -> ReplayStop:
+        """Charge to the planned energy; the independent variable is the internal energy."""
+        car, state = self.car, self.state
+        state[ENERGY] -= stop.detour_in_kwh
+        short = stop.arrive_min_kwh - state[ENERGY]
+        self.note("energy below the least on arrival at a charger", km, short, "kWh", SHORTFALL_KWH)
+        begin = list(state)
+        cells = setting.power_kw.size
+        borders = [list(state)]
+        climate = (stop.ambient_c, stop.heat_loss_kw_per_k, 0.0)
+        part = (target_kwh - state[ENERGY]) / cells
+        for j in range(cells if part > 0.0 else 0):
+            power_set, heater_set, cooling, pump_set = (
+                float(column[j])
+                for column in (
+                    setting.power_kw,
+                    setting.heater_kw,
+                    setting.cooling_kw,
+                    setting.heat_pump_kw,
+                )
+            )
+
+            def rates(
+                _: float,
+                y: list[float],
+                power_set: float = power_set,
+                heater_set: float = heater_set,
+                cooling: float = cooling,
+                pump_set: float = pump_set,
+            ) -> list[float]:
+                energy, temp = y[0], y[1]
+                heater, pump, heat, cabin = car.heating(
+                    temp, stop.cabin_heat_kw, heater_set, pump_set
+                )
+                r = car.resistance(temp) / car.voltage_squared(energy)
+                grid_max = stop.grid_limit_kw.at(energy)
+                free = grid_max - stop.base_kw - cabin - pump - cooling
+                heater = max(min(heater, 0.9 * free), 0.0)
+                room = max(free - heater, 0.1 * grid_max)
+                limit = 2.0 * room / (1.0 + sqrt(1.0 + 4.0 * r * room))
+                power = min(power_set, limit, car.charge_limit(energy, temp))
+                use = (stop.base_kw, heater, cooling, pump, heat, cabin)
+                grid = power + r * power * power + stop.base_kw + heater + cooling + pump + cabin
+                per_time = car.rates(-power, r, use, climate, grid, temp)
+                return [rate / power for rate in per_time]
+
+            self.integrate(rates, part)
+            self.check_temperature(km)
+            borders.append(list(self.state))
+        state = self.state
+        dwell, grid = state[CLOCK] - begin[CLOCK], state[GRID] - begin[GRID]
+        self.note("dwell beyond the longest allowed", km, dwell - stop.max_dwell_h, "h", EXCESS_H)
+        over = state[ENERGY] - self.instance.energy_max_kwh
+        self.note("energy above the largest allowed", km, over, "kWh", SHORTFALL_KWH)
+        depart = state[ENERGY]
+        state[ENERGY] -= stop.detour_out_kwh
+        short = stop.leave_min_kwh - state[ENERGY]
+        self.note("energy below the least after a stop", km, short, "kWh", SHORTFALL_KWH)
+        occupied = max(0.0, dwell - stop.occupancy_free_h)
+        trace = np.array(borders)
+        return ReplayStop(
+            charger=stop.charger,
+            arrive_energy_kwh=begin[ENERGY],
+            depart_energy_kwh=depart,
+            arrive_temperature_c=begin[TEMPERATURE],
+            depart_temperature_c=state[TEMPERATURE],
+            dwell_h=dwell,
+            grid_kwh=grid,
+            cost=stop.price_per_kwh * grid
+            + stop.time_price_per_h * dwell
+            + stop.occupancy_price_per_h * occupied
+            + stop.fixed_cost,
+            energy_kwh=trace[:, ENERGY],
+            temperature_c=trace[:, TEMPERATURE],
+            clock_h=trace[:, CLOCK] - begin[CLOCK],
+        )
+
+
+def replay(
+    trip: Trip, instance: Instance, controls: Controls, targets_kwh: tuple[float, ...]
+) -> Replay:
+    """Drive a plan on the continuous model and check every limit.
+
+    Parameters
+    ----------
+    trip : Trip
+        The trip; its route samples are what is driven.
+    instance : Instance
+        Says where the stops are and over which steps the controls hold.
+    controls : Controls
+        Schedules of heater, cooling and heat pump; planned charging powers.
+    targets_kwh : tuple of float
+        Internal energy at which charging ends, one per stop [kWh].
+
+    Returns
+    -------
+    Replay
+        Cost, states, energies by use, violations.
+
+    Raises
+    ------
+    DomainError
+        The car runs empty or leaves the maps' domain.
+
+    Examples
+    --------
+    >>> from relax import idle_controls, load_trip, make_instance, replay, simulate
+    >>> trip = load_trip("paper-400km")
+    >>> instance = make_instance(trip, (0, 2))
+    >>> controls = idle_controls(instance, energy_kwh=(20.0, 20.0))
+    >>> trajectory = simulate(instance, controls)
+    >>> targets = tuple(float(s.energy_kwh[-1]) for s in trajectory.stops)
+    >>> driven = replay(trip, instance, controls, targets)
+    >>> abs(driven.cost / trajectory.cost - 1.0) < 0.002, abs(driven.balance_kwh) < 1e-9
+    (True, True)
+    """
+    route, drive = trip.route, instance.drive
+    driver = _Driver(trip, instance)
+    borders = np.union1d(route.node_km, drive.node_km)
+    sample = np.searchsorted(route.node_km, 0.5 * (borders[1:] + borders[:-1]), "right") - 1
+    step = np.searchsorted(drive.node_km, 0.5 * (borders[1:] + borders[:-1]), "right") - 1
+    hours = np.diff(borders) / route.speed_kmh[sample]
+    least = trip.vehicle.pack.energy_kwh(trip.soc_min(borders))
+    node = {float(km): k for k, km in enumerate(drive.node_km)}
+    states, nodes, stops = [], [], []
+    cost, k, brake, step_start = 0.0, -1, 0.0, (0.0, 0.0)
+    for i, km in enumerate(borders.tolist()):
+        states.append(list(driver.state))
+        short = float(least[i]) - driver.state[ENERGY]
+        driver.note("energy below the least on the way", km, short, "kWh", SHORTFALL_KWH)
+        driver.check_temperature(km)
+        if km in node:
+            if k >= 0:
+                _check_power(driver, k, step_start, km)
+            nodes.append(list(driver.state))
+            k = node[km]
+            while len(stops) < len(instance.stops) and instance.stops[len(stops)].node == k:
+                m = len(stops)
+                done = driver.charge(instance.stops[m], controls.stops[m], targets_kwh[m], km)
+                cost += done.cost
+                stops.append(done)
+            if k < drive.n_steps:
+                setting = (
+                    float(controls.heater_kw[k]),
+                    float(controls.cooling_kw[k]),
+                    float(controls.heat_pump_kw[k]),
+                )
+                brake = driver.brake(k, *setting)
+                step_start = (driver.state[ENERGY], driver.state[TEMPERATURE])
+        if i < hours.size:
+            assert k == step[i]
+            driver.drive_sample(int(sample[i]), float(hours[i]), setting, brake)
+    short = instance.end_energy_min_kwh - driver.state[ENERGY]
+    driver.note("energy below the least at the end", route.length_km, short, "kWh", SHORTFALL_KWH)
+    return _report(driver, cost, stops, borders, np.array(states), np.array(nodes))
+
+
+def _check_power(driver: _Driver, k: int, start: tuple[float, float], km: float) -> None:
+    """Check the mean power of step k against the sustained discharge limit."""
+    energy, temp = driver.state[ENERGY], driver.state[TEMPERATURE]
+    mean = (start[0] - energy) / float(driver.instance.drive.duration_h[k])
+    limit = driver.car.discharge_limit(0.5 * (start[0] + energy), 0.5 * (start[1] + temp))
+    driver.note("power above the discharge limit", km, mean - limit, "kW", EXCESS_KW)
+
+
+def _report(
+    driver: _Driver,
+    cost: float,
+    stops: list[ReplayStop],
+    borders: Array,
+    states: Array,
+    nodes: Array,
+) -> Replay:
+    """Sum up, and close the two energy balances."""
+    state, instance, vehicle = driver.state, driver.instance, driver.trip.vehicle
+    detours = sum(s.detour_in_kwh + s.detour_out_kwh for s in instance.stops)
+    used = state[BASE] + state[HEATER] + state[CABIN] + state[COOLING] + state[PUMP]
+    drawn = instance.start_energy_kwh - state[ENERGY] - detours
+    stored = (state[TEMPERATURE] - instance.start_temperature_c) * driver.car.capacity
+    heat = (
+        state[LOSS]
+        + state[DRIVETRAIN]
+        + vehicle.heater_battery_efficiency * state[HEATER]
+        - vehicle.cooling_cop * state[COOLING]
+        - (state[PUMP_HEAT] - state[PUMP])
+        + state[AMBIENT]
+    )
+    return Replay(
+        cost=cost,
+        stops=tuple(stops),
+        position_km=borders,
+        energy_kwh=states[:, ENERGY],
+        temperature_c=states[:, TEMPERATURE],
+        node_energy_kwh=nodes[:, ENERGY],
+        node_temperature_c=nodes[:, TEMPERATURE],
+        final_energy_kwh=state[ENERGY],
+        final_temperature_c=state[TEMPERATURE],
+        totals_kwh={
+            "grid": state[GRID],
+            "loss": state[LOSS],
+            "propulsion_and_auxiliaries": state[BASE] - state[BRAKE],
+            "refused_recuperation": state[BRAKE],
+            "detours": detours,
+            "battery_heater": state[HEATER],
+            "cabin_heater": state[CABIN],
+            "battery_cooling": state[COOLING],
+            "heat_pump": state[PUMP],
+            "heat_pump_heat": state[PUMP_HEAT],
+        },
+        balance_kwh=state[GRID] + drawn - state[LOSS] - used,
+        heat_balance_kwh=stored - heat,
+        violations=tuple(driver.violations.values()),
+    )
