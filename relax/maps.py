@@ -9,7 +9,7 @@ Newton-type method needs at a kink. Knows nothing of what the maps mean.
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -137,6 +137,25 @@ class Table1:
         i = min(max(bisect_right(grid, x) - 1, 0), len(slope) - 1)
         return values[i] + slope[i] * (x - grid[i])
 
+    def clamped(self) -> Callable[[float], float]:
+        """Return a fast function of one float that takes the nearest point of the domain.
+
+        For iterates that stray outside for a moment: such a point breaks a limit,
+        so no accepted plan rests on a clamped value.
+        """
+        grid, values, slope, _ = self._lists
+        lo, hi = grid[0], grid[-1]
+
+        def at(x: float) -> float:
+            if x <= lo:
+                return values[0]
+            if x >= hi:
+                return values[-1]
+            i = bisect_right(grid, x) - 1
+            return values[i] + slope[i] * (x - grid[i])
+
+        return at
+
     def jet(self, x: npt.ArrayLike) -> Array:
         """Return value, first and second derivative, shape (3, *x.shape).
 
@@ -233,6 +252,26 @@ class Table2:
         return (1.0 - u) * ((1.0 - v) * left[j] + v * left[j + 1]) + u * (
             (1.0 - v) * right[j] + v * right[j + 1]
         )
+
+    def clamped(self) -> Callable[[float, float], float]:
+        """Return a fast function of two floats that takes the nearest point of the domain."""
+        xs, ys, f, _, _ = self._lists
+        x_lo, x_hi, y_lo, y_hi = xs[0], xs[-1], ys[0], ys[-1]
+        x_last, y_last = len(xs) - 2, len(ys) - 2
+
+        def at(x: float, y: float) -> float:
+            x = x_lo if x < x_lo else x_hi if x > x_hi else x
+            y = y_lo if y < y_lo else y_hi if y > y_hi else y
+            i, j = bisect_right(xs, x) - 1, bisect_right(ys, y) - 1
+            i = i if i <= x_last else x_last
+            j = j if j <= y_last else y_last
+            v = (y - ys[j]) / (ys[j + 1] - ys[j])
+            left, right = f[i], f[i + 1]
+            a = left[j] + v * (left[j + 1] - left[j])
+            b = right[j] + v * (right[j + 1] - right[j])
+            return a + (x - xs[i]) / (xs[i + 1] - xs[i]) * (b - a)
+
+        return at
 
     def jet(self, x: npt.ArrayLike, y: npt.ArrayLike) -> Array:
         """Return f, f_x, f_y, f_xx, f_xy, f_yy, shape (6, *x.shape).

@@ -17,7 +17,7 @@ from relax.instance import MIN_CHARGE_KWH, Instance
 from relax.plan import Trajectory
 from relax.sparse import Pattern, RowBlocks
 
-__all__ = ["QuadraticStep", "StepProgram", "TrustRegion"]
+__all__ = ["QuadraticStep", "StepProgram", "TrustRegion", "Watch"]
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
@@ -32,6 +32,10 @@ MARGIN_H = 1e-5
 """Likewise for the longest dwell [h]."""
 MARGIN_KW = 1e-3
 """Likewise for the discharge limit [kW]."""
+COOLING_NEAR_K = 10.0
+"""Cooling becomes a control once the battery comes this near to its upper limit [K]."""
+DISCHARGE_NEAR = 0.5
+"""The discharge limit is watched once the power exceeds this share of it."""
 DRIVE_SCALE = np.array([0.5, 3.0, 0.5, 0.5])
 """Typical changes of (P, T, E, P_hp) between two iterates [kW, K, kWh, kW]."""
 CELL_SCALE = np.array([0.3, 0.003, 3.0, 0.5, 0.01])
@@ -48,6 +52,43 @@ class TrustRegion:
     def scaled(self, factor: float) -> TrustRegion:
         """Return the region times a factor."""
         return TrustRegion(self.temperature_k * factor, self.energy_kwh * factor)
+
+
+@dataclass(frozen=True)
+class Watch:
+    """Parts of the program that most trips never need; left out, they cost no time.
+
+    Parameters
+    ----------
+    cooling : bool
+        Battery cooling is a control: the battery comes near its upper limit.
+    discharge : bool
+        The discharge limit may bind.
+    """
+
+    cooling: bool = False
+    discharge: bool = False
+
+    def extended(self, instance: Instance, trajectory: Trajectory) -> Watch:
+        """Return what is needed beside this at a trajectory."""
+        peak = max(
+            [trajectory.temperature_c.max(), *(s.temperature_c.max() for s in trajectory.stops)]
+        )
+        used = [trajectory.cooling_kw, *(s.cooling_kw for s in trajectory.stops)]
+        energy = np.clip(trajectory.energy_start_kwh, instance.energy_min_kwh.min(), None)
+        limit = instance.vehicle.pack.discharge_limit_kw
+        room = limit(
+            np.clip(energy, limit.x[0], limit.x[-1]),
+            np.clip(trajectory.temperature_start_c, limit.y[0], limit.y[-1]),
+        )
+        return Watch(
+            cooling=self.cooling
+            or peak > instance.temperature_max_c - COOLING_NEAR_K
+            or any(float(c.max()) > 0.0 for c in used),
+            discharge=self.discharge
+            or bool(trajectory.violation[2] > 0.0)
+            or bool(np.any(trajectory.power_kw > DISCHARGE_NEAR * room)),
+        )
 
 
 @dataclass(frozen=True)
@@ -68,10 +109,12 @@ class QuadraticStep:
     ----------
     instance : Instance
         Subset and grid; the structure is made once and reused for every step.
+    watch : Watch, optional
+        Which rarely needed parts to include.
     """
 
-    def __init__(self, instance: Instance) -> None:
-        self.instance = instance
+    def __init__(self, instance: Instance, watch: Watch | None = None) -> None:
+        self.instance, self.watch = instance, watch or Watch()
         n, cells, stops = instance.drive.n_steps, instance.cells, instance.stops
         size = 0
 
@@ -81,7 +124,7 @@ class QuadraticStep:
             return np.arange(size - count, size)
 
         self.energy, self.temperature = take(n + 1), take(n + 1)
-        self.heater, self.cooling = take(n), take(n)
+        self.heater, self.cooling = take(n), take(n if self.watch.cooling else 0)
         self.has_pump = instance.vehicle.heat_pump_kw > 0.0
         self.pump = take(n if self.has_pump else 0)
         self.regen = np.flatnonzero(instance.drive.base_kw < 0.0)
@@ -90,7 +133,7 @@ class QuadraticStep:
         self.charged, self.leave = take(m), take(m)
         self.cell_temperature = take(m * cells).reshape(m, cells)
         self.dwell, self.cell_heater = take(m * cells), take(m * cells)
-        self.cell_cooling = take(m * cells)
+        self.cell_cooling = take(m * cells if self.watch.cooling else 0)
         self.cell_pump = take(m * cells if self.has_pump else 0)
         self.occupancy = take(m)
         self.slack = take(4)
@@ -125,11 +168,13 @@ class QuadraticStep:
         n = self.instance.drive.n_steps
         e0, e1 = self.step_energy, self.energy[1:]
         t0, t1 = self.step_temperature, self.temperature[1:]
-        drive = (e0, e1, t0, t1, self.heater, self.cooling, *self._pump_columns())
+        cools = (self.cooling,) if self.watch.cooling else ()
+        drive = (e0, e1, t0, t1, self.heater, *cools, *self._pump_columns())
         state = (e0, e1, t0, t1)
         cell_state = (self.cell_charged, self.dwell, self.cell_before, self.cell_after)
         cell = (*cell_state, self.cell_arrive, *self._cell_pump_columns())
-        thermal = (*cell, self.cell_heater, self.cell_cooling)
+        cools = (self.cell_cooling,) if self.watch.cooling else ()
+        thermal = (*cell, self.cell_heater, *cools)
         m = len(self.instance.stops)
         s_n, s_m = np.repeat(self.slack[0], n), np.repeat(self.slack[0], m)
         s_t = np.repeat(self.slack[1], self.all_temperatures.size)
@@ -147,16 +192,16 @@ class QuadraticStep:
         blocks += [
             ("heater_min", (self.heater,)),
             ("heater_max", (self.heater, t0, t1, *self._pump_columns())),
-            ("cooling_min", (self.cooling,)),
-            ("cooling_max", (self.cooling,)),
             ("energy_min", (e1, s_n)),
-            ("energy_max", (e1, s_n)),
             ("temperature_max", (self.all_temperatures, s_t)),
             ("temperature_min", (self.all_temperatures, s_t)),
-            ("discharge", (*state, s_p)),
             ("slack_min", (self.slack,)),
             ("slack_max", (self.slack,)),
         ]
+        if self.watch.discharge:
+            blocks += [("discharge", (*state, s_p))]
+        if self.watch.cooling:
+            blocks += [("cooling_min", (self.cooling,)), ("cooling_max", (self.cooling,))]
         if self.has_pump:
             blocks += [
                 ("pump_min", (self.pump,)),
@@ -166,6 +211,7 @@ class QuadraticStep:
         if self.regen.size:
             blocks += [
                 ("regen", tuple(c[self.regen] for c in state)),
+                ("energy_max", (e1[self.regen], s_n[self.regen])),
                 ("brake_min", (self.brake,)),
                 ("brake_max", (self.brake,)),
             ]
@@ -176,8 +222,6 @@ class QuadraticStep:
                 ("grid_limit", thermal),
                 ("cell_heater_min", (self.cell_heater,)),
                 ("cell_heater_max", (*cell, self.cell_heater)),
-                ("cell_cooling_min", (self.cell_cooling,)),
-                ("cell_cooling_max", (self.cell_cooling, self.dwell)),
                 ("arrive_min", (self.arrive_energy, s_m)),
                 ("leave_min", (self.leave, s_m)),
                 ("charged_full", (self.arrive_energy, self.charged, s_m)),
@@ -188,6 +232,11 @@ class QuadraticStep:
                 ("occupancy_min", (self.occupancy,)),
                 ("occupancy", (*dwell, self.occupancy)),
             ]
+            if self.watch.cooling:
+                blocks += [
+                    ("cell_cooling_min", (self.cell_cooling,)),
+                    ("cell_cooling_max", (self.cell_cooling, self.dwell)),
+                ]
             if self.has_pump:
                 blocks += [
                     ("cell_pump_min", (self.cell_pump,)),
@@ -340,7 +389,7 @@ class QuadraticStep:
         instance, vehicle, drive = self.instance, self.instance.vehicle, self.instance.drive
         d, cabin = drive.duration_h, vehicle.heater_cabin_efficiency
         loss, pump = terms.loss.gradient, terms.pump_heat.gradient
-        pumps = self.has_pump
+        pumps, cools = self.has_pump, self.watch.cooling
 
         def spread(by_p: Array, by_t: Array, by_e: Array) -> tuple[Array, Array, Array, Array]:
             """Chain rule from (P, T, E) of the step to (E+, E', T+, T')."""
@@ -353,7 +402,7 @@ class QuadraticStep:
         tail: Coefficients = (d * (pump[:, 3] / cabin - 1.0),) if pumps else ()
         brake = np.zeros(d.size)
         brake[self.regen] = -d[self.regen]
-        values["balance"] = ((*rows, -d, -d, *tail, brake), 0.0)
+        values["balance"] = ((*rows, -d, *((-d,) if cools else ()), *tail, brake), 0.0)
         rows = spread(
             -d * loss[:, 0],
             d * (pump[:, 1] - loss[:, 1] + drive.heat_loss_kw_per_k),
@@ -368,7 +417,7 @@ class QuadraticStep:
                 rows[2] - storage,
                 rows[3] + storage,
                 -d * vehicle.heater_battery_efficiency,
-                d * vehicle.cooling_cop,
+                *((d * vehicle.cooling_cop,) if cools else ()),
                 *tail,
             ),
             0.0,
@@ -378,11 +427,11 @@ class QuadraticStep:
         free = vehicle.heater_kw - now.cabin_heater_kw - now.heater_kw
         values["heater_min"] = ((-1.0,), now.heater_kw)
         values["heater_max"] = ((1.0, relief, relief, *tail), np.maximum(free, 0.0))
-        values["cooling_min"] = ((-1.0,), now.cooling_kw)
-        values["cooling_max"] = ((1.0,), vehicle.cooling_kw - now.cooling_kw)
+        if cools:
+            values["cooling_min"] = ((-1.0,), now.cooling_kw)
+            values["cooling_max"] = ((1.0,), vehicle.cooling_kw - now.cooling_kw)
         end = now.energy_kwh[1 : d.size + 1]
         values["energy_min"] = ((-1.0, -1.0), end - instance.energy_min_kwh[1:])
-        values["energy_max"] = ((1.0, -1.0), instance.energy_max_kwh - end)
         temp = np.concatenate([now.temperature_c[1:], *(s.temperature_c[1:] for s in now.stops)])
         reach = trust.temperature_k
         above = instance.temperature_max_c - MARGIN_K - temp
@@ -390,11 +439,12 @@ class QuadraticStep:
         # one row for limit and trust region: whichever is nearer; only the limit is elastic
         values["temperature_max"] = ((1.0, -1.0 * (above < reach)), np.minimum(reach, above))
         values["temperature_min"] = ((-1.0, -1.0 * (below < reach)), np.minimum(reach, below))
-        limit, by_e, by_t = terms.discharge_limit
-        values["discharge"] = (
-            (*spread(np.ones(d.size), -by_t, -by_e), -1.0),
-            limit - MARGIN_KW - now.power_kw,
-        )
+        if self.watch.discharge:
+            limit, by_e, by_t = terms.discharge_limit
+            values["discharge"] = (
+                (*spread(np.ones(d.size), -by_t, -by_e), -1.0),
+                limit - MARGIN_KW - now.power_kw,
+            )
         if pumps:
             values["pump_min"] = ((-1.0,), now.heat_pump_kw)
             values["pump_max"] = ((1.0,), vehicle.heat_pump_kw - now.heat_pump_kw)
@@ -405,6 +455,8 @@ class QuadraticStep:
             rows = spread(-np.ones(d.size), -by_t, -by_e)
             slack = np.maximum(limit + now.power_kw, 0.0)
             values["regen"] = (tuple(c[self.regen] for c in rows), slack[self.regen])
+            room = instance.energy_max_kwh - end
+            values["energy_max"] = ((1.0, -1.0), room[self.regen])
             values["brake_min"] = ((-1.0,), now.brake_kw[self.regen])
             most = -drive.base_kw[self.regen]
             values["brake_max"] = ((1.0,), np.maximum(most - now.brake_kw[self.regen], 0.0))
@@ -419,6 +471,7 @@ class QuadraticStep:
     ) -> Array:
         """Fill the rows of the stops and the objective; return the energy price per cell."""
         instance, vehicle, pumps = self.instance, self.instance.vehicle, self.has_pump
+        cools = self.watch.cooling
         cells, stops = instance.cells, instance.stops
 
         def per_cell(values: list[float]) -> Array:
@@ -452,7 +505,7 @@ class QuadraticStep:
         storage = vehicle.pack.heat_capacity_kwh_per_k
         rows[2], rows[3] = rows[2] - storage, rows[3] + storage
         values["cell_heat"] = (
-            (*rows, -vehicle.heater_battery_efficiency, vehicle.cooling_cop),
+            (*rows, -vehicle.heater_battery_efficiency, *((vehicle.cooling_cop,) if cools else ())),
             0.0,
         )
         values["leave"] = ((1.0, -1.0, -1.0), 0.0)
@@ -462,7 +515,7 @@ class QuadraticStep:
         limit = grid - terms.grid_limit.gradient
         used = joined("grid_kwh")
         values["grid_limit"] = (
-            (*spread(limit), 1.0, 1.0),
+            (*spread(limit), 1.0, *((1.0,) if cools else ())),
             np.maximum(terms.grid_limit.value - used, 0.0),
         )
         values["least_dwell"] = (
@@ -478,11 +531,12 @@ class QuadraticStep:
             ),
             np.maximum(room, 0.0),
         )
-        values["cell_cooling_min"] = ((-1.0,), cooling)
-        values["cell_cooling_max"] = (
-            (1.0, -vehicle.cooling_kw),
-            np.maximum(vehicle.cooling_kw * y - cooling, 0.0),
-        )
+        if cools:
+            values["cell_cooling_min"] = ((-1.0,), cooling)
+            values["cell_cooling_max"] = (
+                (1.0, -vehicle.cooling_kw),
+                np.maximum(vehicle.cooling_kw * y - cooling, 0.0),
+            )
         if pumps:
             values["cell_pump_min"] = ((-1.0,), pump)
             values["cell_pump_max"] = (
@@ -502,7 +556,7 @@ class QuadraticStep:
         for column, value in zip(columns, money, strict=True):
             np.add.at(q, column, value)
         q[self.cell_heater] += price
-        q[self.cell_cooling] += price
+        q[self.cell_cooling] += price if cools else 0.0
         q[self.occupancy] = [s.occupancy_price_per_h for s in stops]
         return price
 

@@ -18,8 +18,8 @@ import numpy.typing as npt
 from relax.expansion import expand_cells, expand_drive
 from relax.instance import MIN_CHARGE_KWH, Instance
 from relax.plan import Controls, StopControls, Trajectory
-from relax.quadratic import QuadraticStep, StepProgram, TrustRegion
-from relax.simulate import simulate
+from relax.quadratic import QuadraticStep, StepProgram, TrustRegion, Watch
+from relax.simulate import Simulation
 from relax.solve import QpSolution, SolveStatus, solve_qp
 
 __all__ = ["Refined", "RefineSettings", "complete", "merit", "refine"]
@@ -28,13 +28,13 @@ Array = npt.NDArray[np.float64]
 
 AT_LIMIT = 1e-5
 """Slack below which a control counts as lying on its limit [kW, kWh or h]."""
-END_TOLERANCE_KWH = 1e-6
+END_TOLERANCE_KWH = 1e-5
 """How exactly the energy at the end of the trip meets its limit [kWh]."""
 NEARLY_FEASIBLE = 1e-2
 """Violation that further steps are worth, however little they gain [kWh, K, kW, h]."""
 MAX_PASSES = 6
 """Bound on the simulations that meet the energy limits; each gains a factor of about 50."""
-FEASIBLE = 2e-6
+FEASIBLE = 2e-5
 """Violation that counts as none [kWh, K, kW, h]."""
 
 
@@ -109,14 +109,14 @@ def merit(instance: Instance, trajectory: Trajectory) -> float:
 
 
 def complete(
-    instance: Instance, controls: Controls, tight: frozenset[int] = frozenset()
+    simulation: Simulation, controls: Controls, tight: frozenset[int] = frozenset()
 ) -> tuple[Controls, Trajectory]:
     """Simulate, with charged energies such that binding energy limits are met exactly.
 
     Parameters
     ----------
-    instance : Instance
-        Subset and grid.
+    simulation : Simulation
+        Of the instance.
     controls : Controls
         Any controls; only charged energies change.
     tight : frozenset of int
@@ -127,49 +127,58 @@ def complete(
     Returns
     -------
     tuple of Controls and Trajectory
-        The limits are met to 1e-6 kWh unless a full or an empty battery prevents it.
+        The limits are met to 1e-5 kWh unless a full or an empty battery prevents it.
     """
-    trajectory = simulate(instance, controls)
-    for _ in range(MAX_PASSES if instance.stops else 0):
-        energies = _corrected(instance, controls, trajectory, tight)
-        if energies is None:
+    trajectory = simulation.run(controls)
+    rate = 1.0
+    for _ in range(MAX_PASSES if controls.stops else 0):
+        shift = _shortage(simulation.instance, controls, trajectory, tight, rate)
+        changed = np.flatnonzero(np.abs(shift) > END_TOLERANCE_KWH)
+        if not changed.size:
             break
         stops = tuple(
-            replace(s, energy_kwh=w) for s, w in zip(controls.stops, energies, strict=True)
+            replace(s, energy_kwh=s.energy_kwh + w)
+            for s, w in zip(controls.stops, shift.tolist(), strict=True)
         )
         controls = replace(controls, stops=stops)
-        trajectory = simulate(instance, controls)
+        before = trajectory.final_energy_kwh
+        trajectory = simulation.run(controls, keep=int(changed[0]))
+        # what a charged kWh is worth at the end: below 1 by the losses, learnt as we go
+        gained, added = trajectory.final_energy_kwh - before, float(shift.sum())
+        rate = added / gained if gained * added > 0.0 and 0.5 < added / gained < 2.0 else 1.0
     return controls, trajectory
 
 
-def _corrected(
-    instance: Instance, controls: Controls, trajectory: Trajectory, tight: frozenset[int]
-) -> list[float] | None:
-    """Return charged energies that meet the energy limits to first order; None if met."""
+def _shortage(
+    instance: Instance,
+    controls: Controls,
+    trajectory: Trajectory,
+    tight: frozenset[int],
+    rate: float,
+) -> Array:
+    """Return the changes of the charged energies that meet the energy limits to first order."""
     charged = [s.energy_kwh for s in controls.stops]
     arrive = [float(s.energy_kwh[0]) for s in trajectory.stops]
-    before = list(charged)
-    added = 0.0
+    shifts = np.zeros(len(charged))
     first = 0
 
-    def shift(i: int, amount: float) -> float:
-        full = instance.energy_max_kwh - arrive[i] - added
-        target = max(min(charged[i] + amount, full), MIN_CHARGE_KWH)
-        amount, charged[i] = target - charged[i], target
-        return amount
+    def give(i: int, amount: float) -> float:
+        full = instance.energy_max_kwh - arrive[i] - float(shifts[:i].sum())
+        target = max(min(charged[i] + rate * amount, full), MIN_CHARGE_KWH)
+        shifts[i] = target - charged[i]
+        return float(shifts[i]) / rate
 
     for m in range(1, len(charged)):
-        missing = instance.stops[m].arrive_min_kwh - arrive[m] - added
+        missing = instance.stops[m].arrive_min_kwh - arrive[m] - float(shifts.sum())
         if m in tight or missing > END_TOLERANCE_KWH:
-            added += shift(m - 1, missing)
+            give(m - 1, missing)
             first = m
-    missing = instance.end_energy_min_kwh - trajectory.final_energy_kwh - added
+    missing = instance.end_energy_min_kwh - trajectory.final_energy_kwh - float(shifts.sum()) / rate
     for i in sorted(range(first, len(charged)), key=lambda i: (-charged[i], i)):
-        missing -= shift(i, missing)
         if abs(missing) <= END_TOLERANCE_KWH:
             break
-    moved = max(abs(a - b) for a, b in zip(before, charged, strict=True))
-    return charged if moved > END_TOLERANCE_KWH else None
+        missing -= give(i, missing)
+    return shifts
 
 
 def applied(controls: Controls, trajectory: Trajectory) -> Controls:
@@ -210,7 +219,9 @@ def _next_controls(
     heater = np.where(
         bound("heater_max"), vehicle.heater_kw, np.maximum(now.heater_kw + x[step.heater], 0.0)
     )
-    cooling = np.clip(now.cooling_kw + x[step.cooling], 0.0, vehicle.cooling_kw)
+    cooling = now.cooling_kw
+    if step.watch.cooling:
+        cooling = np.clip(cooling + x[step.cooling], 0.0, vehicle.cooling_kw)
     pump = np.zeros_like(heater)
     if step.has_pump:
         wanted = np.clip(now.heat_pump_kw + x[step.pump], 0.0, vehicle.heat_pump_kw)
@@ -236,7 +247,9 @@ def _next_controls(
             cell_pump = np.minimum(cell_pump, vehicle.heat_pump_kw)
             full = bound("cell_cabin")[part] | bound("cell_pump_max")[part]
             cell_pump[full] = vehicle.heat_pump_kw
-        cell_cooling = power(done.cooling_kw, x[step.cell_cooling[part]])
+        cell_cooling = done.cooling_kw
+        if step.watch.cooling:
+            cell_cooling = power(cell_cooling, x[step.cell_cooling[part]])
         stops.append(
             StopControls(
                 energy_kwh=charged,
@@ -262,7 +275,6 @@ def refine(
     instance: Instance,
     start: Controls,
     settings: RefineSettings | None = None,
-    step: QuadraticStep | None = None,
 ) -> Refined:
     """Improve controls to a locally optimal plan of the transcription.
 
@@ -274,8 +286,6 @@ def refine(
         Any controls.
     settings : RefineSettings, optional
         When to stop and how to solve.
-    step : QuadraticStep, optional
-        Program structure of this instance, if it was made before.
 
     Returns
     -------
@@ -283,9 +293,10 @@ def refine(
         The best iterate; ``feasible`` says whether it keeps every limit.
     """
     settings = settings or RefineSettings()
-    step = step or QuadraticStep(instance)
-    controls, now = complete(instance, start)
+    simulation = Simulation(instance)
+    controls, now = complete(simulation, start)
     value = merit(instance, now)
+    step = QuadraticStep(instance, Watch().extended(instance, now))
     trust = TrustRegion()
     multipliers: Array | None = None
     penalty = penalty_prices(instance)
@@ -324,13 +335,13 @@ def refine(
             if predicted <= (1e-3 * least if near else least):
                 return Refined(controls, now, is_feasible(now), programs, seconds)
             tight = _tight_arrivals(step, program, x)
-            trial, then = complete(instance, _next_controls(step, program, x, now, 1.0), tight)
+            trial, then = complete(simulation, _next_controls(step, program, x, now, 1.0), tight)
             gained = value - merit(instance, then)
             if gained <= 0.05 * predicted and not is_feasible(then):
                 program = step.corrected(program, x, now, then)
                 solution = solve(program)
                 x = solution.x
-                trial, then = complete(instance, _next_controls(step, program, x, now, 1.0), tight)
+                trial, then = complete(simulation, _next_controls(step, program, x, now, 1.0), tight)
                 gained = value - merit(instance, then)
             if gained > 0.05 * predicted:
                 accepted = True
@@ -339,9 +350,9 @@ def refine(
         if not accepted:
             break
         if gained > 1.25 * predicted:
-            for length in (2.0, 4.0, 8.0, 16.0):
+            for length in (2.0, 4.0, 8.0, 16.0) if gained > 10.0 * least else ():
                 longer, far = complete(
-                    instance, _next_controls(step, program, x, now, length), tight
+                    simulation, _next_controls(step, program, x, now, length), tight
                 )
                 if merit(instance, far) >= merit(instance, then):
                     break
@@ -350,6 +361,9 @@ def refine(
             trust = trust.scaled(1.6)
         controls, now, value = trial, then, merit(instance, then)
         multipliers = solution.z
+        watch = step.watch.extended(instance, now)
+        if watch != step.watch:
+            step, multipliers = QuadraticStep(instance, watch), None
     return Refined(controls, now, is_feasible(now), programs, seconds)
 
 

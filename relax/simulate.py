@@ -9,39 +9,22 @@ optimisation.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 from math import inf, sqrt
 
 import numpy as np
 
 from relax.instance import Drive, Instance, Stop
-from relax.maps import Table1, Table2
 from relax.plan import Controls, StopControls, StopTrajectory, Trajectory
 
-__all__ = ["idle_controls", "simulate", "stop_cost"]
+__all__ = ["Simulation", "idle_controls", "simulate", "stop_cost"]
 
-TEMPERATURE_TOLERANCE_K = 1e-10
+TEMPERATURE_TOLERANCE_K = 1e-9
 """Change of the end temperature at which a step's implicit equation counts as solved [K]."""
 MAX_ITERATIONS = 60
 """Bound on the iterations of one implicit equation; 3 to 5 are usual."""
 MIN_CHARGE_SHARE = 0.1
 """Share of a charger's free power that heaters may not take, so that charging goes on."""
-
-
-def _clamped1(table: Table1) -> Callable[[float], float]:
-    """Return the table at the nearest point of its domain.
-
-    Iterates may stray outside for a moment; such a trajectory breaks a limit
-    and is reported as infeasible, so no accepted plan uses a clamped value.
-    """
-    lo, hi, at = table.lo, table.hi, table.at
-    return lambda x: at(min(max(x, lo), hi))
-
-
-def _clamped2(table: Table2) -> Callable[[float, float], float]:
-    """Return the table at the nearest point of its domain, see ``_clamped1``."""
-    xs, ys, at = table.x, table.y, table.at
-    x_lo, x_hi, y_lo, y_hi = float(xs[0]), float(xs[-1]), float(ys[0]), float(ys[-1])
-    return lambda x, y: at(min(max(x, x_lo), x_hi), min(max(y, y_lo), y_hi))
 
 
 def _pump_power(heat_kw: float, cop: float, droop: float) -> float:
@@ -74,11 +57,11 @@ class _Car:
 
     def __init__(self, instance: Instance) -> None:
         vehicle, pack = instance.vehicle, instance.vehicle.pack
-        self.resistance = _clamped1(pack.resistance_ohm)
-        self.voltage_squared = _clamped1(pack.voltage_squared)
-        self.cop = _clamped1(vehicle.heat_pump_cop)
-        self.charge_limit = _clamped2(pack.charge_limit_kw)
-        self.discharge_limit = _clamped2(pack.discharge_limit_kw)
+        self.resistance = pack.resistance_ohm.clamped()
+        self.voltage_squared = pack.voltage_squared.clamped()
+        self.cop = vehicle.heat_pump_cop.clamped()
+        self.charge_limit = pack.charge_limit_kw.clamped()
+        self.discharge_limit = pack.discharge_limit_kw.clamped()
         self.capacity = pack.heat_capacity_kwh_per_k
         self.heater_kw = vehicle.heater_kw
         self.heater_eff = vehicle.heater_battery_efficiency
@@ -176,7 +159,7 @@ def _charge(
     e = controls.energy_kwh / cells
     rows: list[tuple[float, ...]] = []
     temps = [temp]
-    grid_limit = _clamped1(stop.grid_limit_kw)
+    grid_limit = stop.grid_limit_kw.clamped()
     demand, base = stop.cabin_heat_kw, stop.base_kw
     settings = zip(
         controls.power_kw.tolist(),
@@ -248,6 +231,161 @@ def stop_cost(stop: Stop, dwell_h: float, grid_kwh: float) -> float:
     )
 
 
+@dataclass
+class _Walk:
+    """What has been simulated so far: the state, and the rows of the trajectory."""
+
+    energy: float
+    temp: float
+    arrival: list[tuple[float, float]] = field(default_factory=list)
+    start: list[tuple[float, float]] = field(default_factory=list)
+    rows: list[StepResult] = field(default_factory=list)
+    stops: list[StopTrajectory] = field(default_factory=list)
+    cost: float = 0.0
+    short: float = 0.0
+    excess_h: float = 0.0
+
+    def copy(self) -> _Walk:
+        """Return an independent copy; the rows themselves are immutable."""
+        return replace(
+            self,
+            arrival=self.arrival.copy(),
+            start=self.start.copy(),
+            rows=self.rows.copy(),
+            stops=self.stops.copy(),
+        )
+
+
+class Simulation:
+    """Simulates one instance again and again, keeping what a change leaves untouched.
+
+    Parameters
+    ----------
+    instance : Instance
+        Subset and grid.
+    """
+
+    def __init__(self, instance: Instance) -> None:
+        self.instance = instance
+        self._car = _Car(instance)
+        self._drive_rows = _drive_rows(instance.drive)
+        self._at_stop: list[_Walk] = []
+
+    def run(self, controls: Controls, keep: int = 0) -> Trajectory:
+        """Return the trajectory of the controls.
+
+        Parameters
+        ----------
+        controls : Controls
+            Powers per step and cell.
+        keep : int
+            The controls before stop ``keep`` are those of the last run.
+        """
+        stops = self.instance.stops
+        walk = _Walk(self.instance.start_energy_kwh, self.instance.start_temperature_c)
+        node = 0
+        if 0 < keep < len(self._at_stop):
+            walk, node = self._at_stop[keep].copy(), stops[keep].node
+            self._at_stop = self._at_stop[: keep + 1]
+        else:
+            keep = 0
+            self._at_stop = []
+            if stops:
+                node = stops[0].node
+                self._leg(walk, controls, 0, node)
+                self._at_stop = [walk.copy()]
+        for i in range(keep, len(stops)):
+            self._stop(walk, controls, i)
+            last = i + 1 == len(stops)
+            end = self.instance.drive.n_steps if last else stops[i + 1].node
+            self._leg(walk, controls, node, end)
+            node = end
+            if not last:
+                self._at_stop.append(walk.copy())
+        if not stops:
+            self._leg(walk, controls, 0, self.instance.drive.n_steps)
+        return self._trajectory(walk, controls)
+
+    def _leg(self, walk: _Walk, controls: Controls, begin: int, end: int) -> None:
+        """Drive from node to node."""
+        car, energy, temp, rise = self._car, walk.energy, walk.temp, 0.0
+        least = self.instance.energy_min_kwh
+        if begin == 0 and not walk.arrival:
+            walk.arrival.append((energy, temp))
+        settings = zip(
+            self._drive_rows[begin:end],
+            controls.heater_kw[begin:end].tolist(),
+            np.minimum(controls.cooling_kw[begin:end], car.cooling_kw).tolist(),
+            controls.heat_pump_kw[begin:end].tolist(),
+            least[begin + 1 : end + 1].tolist(),
+            strict=True,
+        )
+        short = walk.short
+        for row, heater, cooling, pump, low in settings:
+            walk.start.append((energy, temp))
+            result = _drive_step(car, row, energy, temp, heater, cooling, pump, temp + rise)
+            rise = result[0] - temp
+            energy, temp = energy - row[0] * result[1], result[0]
+            if low - energy > short:
+                short = low - energy
+            walk.rows.append(result)
+            walk.arrival.append((energy, temp))
+        walk.energy, walk.temp, walk.short = energy, temp, short
+
+    def _stop(self, walk: _Walk, controls: Controls, i: int) -> None:
+        """Charge at stop i."""
+        stop = self.instance.stops[i]
+        done = _charge(
+            self._car, stop, controls.stops[i], walk.energy - stop.detour_in_kwh, walk.temp
+        )
+        first, last = float(done.energy_kwh[0]), float(done.energy_kwh[-1])
+        dwell = float(done.dwell_h.sum())
+        walk.cost += stop_cost(stop, dwell, float(done.grid_kwh.sum()))
+        walk.short = max(
+            walk.short,
+            stop.arrive_min_kwh - first,
+            stop.leave_min_kwh - last + stop.detour_out_kwh,
+            last - self.instance.energy_max_kwh,
+        )
+        walk.excess_h = max(walk.excess_h, dwell - stop.max_dwell_h)
+        walk.energy, walk.temp = last - stop.detour_out_kwh, float(done.temperature_c[-1])
+        walk.stops.append(done)
+
+    def _trajectory(self, walk: _Walk, controls: Controls) -> Trajectory:
+        instance = self.instance
+        arrive, begin = np.array(walk.arrival), np.array(walk.start)
+        table = np.array(walk.rows)
+        peak = max([arrive[:, 1].max(), *(s.temperature_c.max() for s in walk.stops)])
+        low = min([arrive[:, 1].min(), *(s.temperature_c.min() for s in walk.stops)])
+        violation = np.array(
+            [
+                max(walk.short, float(arrive[:, 0].max()) - instance.energy_max_kwh),
+                max(peak - instance.temperature_max_c, instance.temperature_min_c - low),
+                float(table[:, 8].max()),
+                walk.excess_h,
+            ]
+        )
+        return Trajectory(
+            energy_kwh=arrive[:, 0],
+            temperature_c=arrive[:, 1],
+            energy_start_kwh=begin[:, 0],
+            temperature_start_c=begin[:, 1],
+            power_kw=table[:, 1],
+            loss_kw=table[:, 2],
+            brake_kw=table[:, 3],
+            heater_kw=table[:, 4],
+            cooling_kw=np.minimum(controls.cooling_kw, self._car.cooling_kw),
+            heat_pump_kw=table[:, 5],
+            pump_heat_kw=table[:, 6],
+            cabin_heater_kw=table[:, 7],
+            stops=tuple(walk.stops),
+            final_energy_kwh=walk.energy,
+            final_temperature_c=walk.temp,
+            cost=walk.cost,
+            violation=np.maximum(violation, 0.0),
+        )
+
+
 def simulate(instance: Instance, controls: Controls) -> Trajectory:
     """Return the trajectory that the controls cause on the transcription.
 
@@ -274,80 +412,7 @@ def simulate(instance: Instance, controls: Controls) -> Trajectory:
     >>> len(trajectory.stops), trajectory.power_kw.shape
     (2, (100,))
     """
-    drive = instance.drive
-    car = _Car(instance)
-    n = drive.n_steps
-    heater, cooling, pump = (
-        c.tolist() for c in (controls.heater_kw, controls.cooling_kw, controls.heat_pump_kw)
-    )
-    energy_min = instance.energy_min_kwh.tolist()
-    energy, temp = instance.start_energy_kwh, instance.start_temperature_c
-    arrival: list[tuple[float, float]] = []
-    start: list[tuple[float, float]] = []
-    rows: list[StepResult] = []
-    stops: list[StopTrajectory] = []
-    cost, short, excess_h, rise = 0.0, 0.0, 0.0, 0.0
-    for k, row in enumerate([*_drive_rows(drive), ()]):
-        arrival.append((energy, temp))
-        short = max(short, energy_min[k] - energy)
-        while len(stops) < len(instance.stops) and instance.stops[len(stops)].node == k:
-            stop = instance.stops[len(stops)]
-            done = _charge(
-                car, stop, controls.stops[len(stops)], energy - stop.detour_in_kwh, temp
-            )
-            dwell = float(done.dwell_h.sum())
-            cost += stop_cost(stop, dwell, float(done.grid_kwh.sum()))
-            short = max(
-                short,
-                stop.arrive_min_kwh - float(done.energy_kwh[0]),
-                stop.leave_min_kwh - float(done.energy_kwh[-1]) + stop.detour_out_kwh,
-                float(done.energy_kwh[-1]) - instance.energy_max_kwh,
-            )
-            excess_h = max(excess_h, dwell - stop.max_dwell_h)
-            energy = float(done.energy_kwh[-1]) - stop.detour_out_kwh
-            temp = float(done.temperature_c[-1])
-            stops.append(done)
-            rise = 0.0
-        if k == n:
-            break
-        start.append((energy, temp))
-        result = _drive_step(
-            car, row, energy, temp, heater[k], min(cooling[k], car.cooling_kw), pump[k], temp + rise
-        )
-        rise = result[0] - temp
-        energy, temp = energy - row[0] * result[1], result[0]
-        rows.append(result)
-    arrive, begin = np.array(arrival), np.array(start)
-    table = np.array(rows)
-    peak = max([arrive[:, 1].max(), *(float(s.temperature_c.max()) for s in stops)])
-    low = min([arrive[:, 1].min(), *(float(s.temperature_c.min()) for s in stops)])
-    return Trajectory(
-        energy_kwh=arrive[:, 0],
-        temperature_c=arrive[:, 1],
-        energy_start_kwh=begin[:, 0],
-        temperature_start_c=begin[:, 1],
-        power_kw=table[:, 1],
-        loss_kw=table[:, 2],
-        brake_kw=table[:, 3],
-        heater_kw=table[:, 4],
-        cooling_kw=np.minimum(controls.cooling_kw, car.cooling_kw),
-        heat_pump_kw=table[:, 5],
-        pump_heat_kw=table[:, 6],
-        cabin_heater_kw=table[:, 7],
-        stops=tuple(stops),
-        final_energy_kwh=energy,
-        final_temperature_c=temp,
-        cost=cost,
-        violation=np.maximum(
-            [
-                max(short, float(arrive[:, 0].max()) - instance.energy_max_kwh),
-                max(peak - instance.temperature_max_c, instance.temperature_min_c - low),
-                float(table[:, 8].max()),
-                excess_h,
-            ],
-            0.0,
-        ),
-    )
+    return Simulation(instance).run(controls)
 
 
 def idle_controls(instance: Instance, energy_kwh: tuple[float, ...]) -> Controls:
