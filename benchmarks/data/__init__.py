@@ -1,0 +1,1 @@
+"""Regenerates the shipped presets from named sources. Nothing in the packages imports this."""
