@@ -75,7 +75,9 @@ class CellExpansion:
     grid_limit: Term
 
 
-def _term(value: Array, gradient: dict[int, Array], hessian: dict[tuple[int, int], Array], v: int) -> Term:
+def _term(
+    value: Array, gradient: dict[int, Array], hessian: dict[tuple[int, int], Array], v: int
+) -> Term:
     m = value.size
     grad, hess = np.zeros((m, v)), np.zeros((m, v, v))
     for a, g in gradient.items():

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
@@ -184,7 +185,7 @@ def _step_borders(trip: Trip, step_km: float) -> Array:
     length = trip.route.length_km
     anchors = sorted({0.0, length, *(c.position_km for c in trip.chargers)})
     borders = [0.0]
-    for lo, hi in zip(anchors[:-1], anchors[1:], strict=True):
+    for lo, hi in pairwise(anchors):
         count = max(1, math.ceil((hi - lo) / step_km - 1e-9))
         borders.extend(np.linspace(lo, hi, count + 1)[1:].tolist())
     return np.array(borders)
@@ -214,10 +215,10 @@ def make_drive(trip: Trip, step_km: float) -> Drive:
     step = np.searchsorted(borders, middle, side="right") - 1
     time = np.diff(fine) / route.speed_kmh[sample]
     n = borders.size - 1
-    duration = np.bincount(step, time, n)
+    duration = np.bincount(step, time, n).astype(np.float64)
 
     def mean(values: Array) -> Array:
-        return np.bincount(step, time * values[sample], n) / duration
+        return np.asarray(np.bincount(step, time * values[sample], n) / duration)
 
     propulsion = mean(route.propulsion_kw)
     ripple = np.maximum(mean(route.propulsion_kw**2) - propulsion**2, 0.0)

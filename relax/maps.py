@@ -125,7 +125,7 @@ class Table1:
 
     def __call__(self, x: npt.ArrayLike) -> Array:
         """Return the values at ``x`` (any shape); DomainError outside the table."""
-        return self.jet(x)[0]
+        return np.asarray(self.jet(x)[0])
 
     def at(self, x: float) -> float:
         """Return the value at one float: the fast path of simulation and replay."""
@@ -210,7 +210,9 @@ class Table2:
         object.__setattr__(self, "y", _grid(y, name))
         values = np.array(f, dtype=np.float64)
         if values.shape != (self.x.size, self.y.size) or not np.all(np.isfinite(values)):
-            raise ValueError(f"{name}: needs one finite value per node, {self.x.size} x {self.y.size}")
+            raise ValueError(
+                f"{name}: needs one finite value per node, {self.x.size} x {self.y.size}"
+            )
         values.setflags(write=False)
         object.__setattr__(self, "f", values)
         object.__setattr__(self, "name", name)
@@ -234,12 +236,14 @@ class Table2:
 
     def __call__(self, x: npt.ArrayLike, y: npt.ArrayLike) -> Array:
         """Return the values at the points (x, y) of one shape; DomainError outside."""
-        return self.jet(x, y)[0]
+        return np.asarray(self.jet(x, y)[0])
 
     def at(self, x: float, y: float) -> float:
         """Return the value at one point of floats: the fast path of simulation and replay."""
         xs, ys, f, slack_x, slack_y = self._lists
-        if not (xs[0] - slack_x <= x <= xs[-1] + slack_x and ys[0] - slack_y <= y <= ys[-1] + slack_y):
+        if not (
+            xs[0] - slack_x <= x <= xs[-1] + slack_x and ys[0] - slack_y <= y <= ys[-1] + slack_y
+        ):
             raise DomainError(
                 f"{self.name}: ({x:g}, {y:g}) is outside the table "
                 f"{xs[0]:g} .. {xs[-1]:g}, {ys[0]:g} .. {ys[-1]:g}"
@@ -278,9 +282,7 @@ class Table2:
 
         The value is the table's; the derivatives are averaged over one cell.
         """
-        x, y = np.broadcast_arrays(
-            np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)
-        )
+        x, y = np.broadcast_arrays(np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64))
         i, u = _locate(self.x, x, self.name)
         j, v = _locate(self.y, y, self.name)
         t = self._jet_table

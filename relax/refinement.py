@@ -18,11 +18,12 @@ import numpy.typing as npt
 from relax.expansion import expand_cells, expand_drive
 from relax.instance import MIN_CHARGE_KWH, Instance
 from relax.plan import Controls, StopControls, Trajectory
-from relax.quadratic import QuadraticStep, StepProgram, TrustRegion, Watch
+from relax.quadratic import QuadraticStep, StepProgram, TrustRegion
 from relax.simulate import Simulation
 from relax.solve import QpSolution, SolveStatus, solve_qp
+from relax.step_layout import Watch
 
-__all__ = ["Refined", "RefineSettings", "complete", "merit", "refine"]
+__all__ = ["RefineSettings", "Refined", "complete", "merit", "refine"]
 
 Array = npt.NDArray[np.float64]
 
@@ -235,7 +236,9 @@ def _next_controls(
         charged = float(done.energy_kwh[-1] - done.energy_kwh[0]) + float(x[step.charged[i]])
         charged = max(charged, MIN_CHARGE_KWH)
 
-        def power(before: Array, change: Array, y: Array = y, done_h: Array = done.dwell_h) -> Array:
+        def power(
+            before: Array, change: Array, y: Array = y, done_h: Array = done.dwell_h
+        ) -> Array:
             return np.maximum((before * done_h + change) / y, 0.0)
 
         fast = bound("least_dwell")[part] | bound("grid_limit")[part]
@@ -327,8 +330,7 @@ def refine(
             if solution.status not in (SolveStatus.SOLVED, SolveStatus.INACCURATE):
                 return Refined(controls, now, is_feasible(now), programs, seconds)
             x = solution.x
-            model = now.cost + float(program.q @ x + 0.5 * x @ (_symmetric(program.P, x)))
-            model -= _occupancy(instance, now)
+            model = now.cost - _occupancy(instance, now) + program.change(x)
             predicted = value - model
             near = FEASIBLE < float(now.violation.max()) < NEARLY_FEASIBLE
             least = settings.tolerance * max(abs(value), 1.0)
@@ -341,7 +343,9 @@ def refine(
                 program = step.corrected(program, x, now, then)
                 solution = solve(program)
                 x = solution.x
-                trial, then = complete(simulation, _next_controls(step, program, x, now, 1.0), tight)
+                trial, then = complete(
+                    simulation, _next_controls(step, program, x, now, 1.0), tight
+                )
                 gained = value - merit(instance, then)
             if gained > 0.05 * predicted:
                 accepted = True
@@ -365,11 +369,6 @@ def refine(
         if watch != step.watch:
             step, multipliers = QuadraticStep(instance, watch), None
     return Refined(controls, now, is_feasible(now), programs, seconds)
-
-
-def _symmetric(upper: object, x: Array) -> Array:
-    """Return P x for P given by its upper triangle."""
-    return np.asarray(upper @ x + upper.T @ x - upper.diagonal() * x)  # type: ignore[attr-defined]
 
 
 def _occupancy(instance: Instance, now: Trajectory) -> float:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import sqrt
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -34,7 +34,7 @@ RELATIVE_TOLERANCE = 1e-9
 ABSOLUTE_TOLERANCE = 1e-9
 """Local error of the integrator [kWh, K, h]."""
 SHORTFALL_KWH = 1e-5
-"""Missing energy that is rounding of the integration, about a second of parked consumption [kWh]."""
+"""Missing energy that is rounding of the integration: a second parked [kWh]."""
 EXCESS_K = 1e-3
 """Temperature excess that is rounding [K]."""
 EXCESS_KW = 0.05
@@ -42,8 +42,9 @@ EXCESS_KW = 0.05
 EXCESS_H = 1e-4
 """Excess over the longest dwell that is rounding: 0.4 s [h]."""
 
-(ENERGY, TEMPERATURE, CLOCK, GRID, LOSS, BASE, HEATER, CABIN, COOLING, PUMP, PUMP_HEAT, AMBIENT, DRIVETRAIN, BRAKE) = range(14)  # fmt: skip
-"""Components of the integrated state: two states, the clock, and energies since departure."""
+# components of the integrated state: two states, the clock, and energies since departure
+ENERGY, TEMPERATURE, CLOCK, GRID, LOSS, BASE, HEATER, CABIN = range(8)
+COOLING, PUMP, PUMP_HEAT, AMBIENT, DRIVETRAIN, BRAKE = range(8, 14)
 
 
 @dataclass(frozen=True)
@@ -225,10 +226,14 @@ class _Driver:
         self.violations: dict[str, Violation] = {}
         self._ode = ode
 
-    def integrate(self, rates: Callable[[float, list[float]], list[float]], span: float) -> None:
+    def integrate(self, rates: Callable[[float, Any], list[float]], span: float) -> None:
         """Advance the state over a span of the independent variable."""
         solver = self._ode(rates).set_integrator(
-            "dopri5", rtol=RELATIVE_TOLERANCE, atol=ABSOLUTE_TOLERANCE, first_step=span, nsteps=10000
+            "dopri5",
+            rtol=RELATIVE_TOLERANCE,
+            atol=ABSOLUTE_TOLERANCE,
+            first_step=span,
+            nsteps=10000,
         )
         solver.set_initial_value(self.state, 0.0)
         self.state = solver.integrate(span).tolist()
@@ -261,9 +266,7 @@ class _Driver:
             return 0.0
         energy, temp = self.state[ENERGY], self.state[TEMPERATURE]
         r = self.car.resistance(temp) / self.car.voltage_squared(energy)
-        heater, pump, _, cabin = self.car.heating(
-            temp, float(drive.cabin_heat_kw[k]), heater, pump
-        )
+        heater, pump, _, cabin = self.car.heating(temp, float(drive.cabin_heat_kw[k]), heater, pump)
         ripple = float(drive.ripple_kw2[k])
         load = float(drive.base_kw[k]) + heater + cooling + pump + cabin
         limit = self.car.charge_limit(energy, temp)
@@ -299,9 +302,7 @@ class _Driver:
         self.integrate(rates, hours)
         self.state[BRAKE] += brake * hours
 
-    def charge(
-        self, stop: Stop, setting: StopControls, target_kwh: float, km: float
-    ) -> ReplayStop:
+    def charge(self, stop: Stop, setting: StopControls, target_kwh: float, km: float) -> ReplayStop:
         """Charge to the planned energy; the independent variable is the internal energy."""
         car, state = self.car, self.state
         state[ENERGY] -= stop.detour_in_kwh
@@ -425,7 +426,9 @@ def replay(
     hours = np.diff(borders) / route.speed_kmh[sample]
     least = trip.vehicle.pack.energy_kwh(trip.soc_min(borders))
     node = {float(km): k for k, km in enumerate(drive.node_km)}
-    states, nodes, stops = [], [], []
+    states: list[list[float]] = []
+    nodes: list[list[float]] = []
+    stops: list[ReplayStop] = []
     cost, k, brake, step_start = 0.0, -1, 0.0, (0.0, 0.0)
     for i, km in enumerate(borders.tolist()):
         states.append(list(driver.state))

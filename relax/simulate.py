@@ -212,9 +212,9 @@ def _charge(
         rise = end - start
         temps.append(end)
         rows.append(row)
-    columns = [np.array(c) for c in zip(*rows, strict=True)]
+    columns = [np.array(c, dtype=np.float64) for c in zip(*rows, strict=True)]
     return StopTrajectory(
-        energy + e * np.arange(cells + 1),
+        np.asarray(energy + e * np.arange(cells + 1), dtype=np.float64),
         np.array(temps),
         *columns,
     )

@@ -44,10 +44,10 @@ class Pattern:
         self._indptr = np.concatenate([[0], np.cumsum(counts)]).astype(np.int32)
         self._shape = shape
 
-    def matrix(self, values: Array) -> sparse.csc_matrix:
+    def matrix(self, values: Array) -> sparse.csc_array:
         """Return the matrix with these values, shape (m,); explicit zeros are kept."""
         data = np.bincount(self._slot, values, self._indices.size)
-        return sparse.csc_matrix((data, self._indices, self._indptr), shape=self._shape)
+        return sparse.csc_array((data, self._indices, self._indptr), shape=self._shape)
 
 
 @dataclass(frozen=True)
@@ -69,9 +69,7 @@ class RowBlocks:
     pattern: Pattern
 
     @classmethod
-    def make(
-        cls, blocks: Sequence[tuple[str, tuple[Index, ...]]], n_columns: int
-    ) -> RowBlocks:
+    def make(cls, blocks: Sequence[tuple[str, tuple[Index, ...]]], n_columns: int) -> RowBlocks:
         """Stack blocks in the order given; every block lists one column array per coefficient."""
         slices: dict[str, slice] = {}
         rows, cols = [], []
@@ -88,7 +86,7 @@ class RowBlocks:
 
     def assemble(
         self, values: Mapping[str, tuple[tuple[Array | float, ...], Array | float]]
-    ) -> tuple[sparse.csc_matrix, Array]:
+    ) -> tuple[sparse.csc_array, Array]:
         """Return matrix and right-hand side from (coefficients, right-hand side) per block.
 
         Raises

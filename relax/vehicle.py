@@ -87,13 +87,13 @@ class Pack:
 
     @cached_property
     def charge_limit_kw(self) -> Table2:
-        """Largest charging power over (internal energy, temperature) [kW over kWh, degrees C]."""
+        """Largest charging power over (energy, temperature) [kW over kWh, degrees C]."""
         table = self.charge_limit_soc_kw
         return Table2(self.energy_kwh(table.x), table.y, table.f, "charge_limit")
 
     @cached_property
     def discharge_limit_kw(self) -> Table2:
-        """Largest discharging power over (internal energy, temperature) [kW over kWh, degrees C]."""
+        """Largest discharging power over (energy, temperature) [kW over kWh, degrees C]."""
         table = self.discharge_limit_soc_kw
         return Table2(self.energy_kwh(table.x), table.y, table.f, "discharge_limit")
 

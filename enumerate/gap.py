@@ -1,0 +1,50 @@
+"""Owns every tolerance and every comparison of objective values. Nothing else compares costs."""
+
+from __future__ import annotations
+
+from math import inf
+
+__all__ = ["DEFAULT_GAP", "is_closed", "relative_gap"]
+
+DEFAULT_GAP = 0.01
+"""Relative gap below which a plan is called optimal unless the caller asks otherwise."""
+CLOSE = 0.01
+"""Relative distance to the best plan within which a subset gets further starts: local
+optima of trial trips differed by up to 1 %."""
+
+
+def relative_gap(cost: float, lower_bound: float) -> float:
+    """Return (cost - bound) / max(abs(cost), 1), not below 0; ``inf`` without plan or bound.
+
+    Examples
+    --------
+    >>> relative_gap(200.0, 198.0)
+    0.01
+    >>> relative_gap(200.0, float("-inf"))
+    inf
+    """
+    if not (-inf < lower_bound and cost < inf):
+        return inf
+    return max(0.0, cost - lower_bound) / max(abs(cost), 1.0)
+
+
+def is_closed(lower_bound: float, cost: float) -> bool:
+    """Return whether a subset with this bound cannot be better than a plan of this cost.
+
+    Examples
+    --------
+    >>> is_closed(201.0, 200.0), is_closed(199.0, 200.0)
+    (True, False)
+    """
+    return lower_bound >= cost
+
+
+def is_close(cost: float, best: float) -> bool:
+    """Return whether a local optimum is near enough to the best for further starts.
+
+    Examples
+    --------
+    >>> is_close(201.0, 200.0), is_close(210.0, 200.0)
+    (True, False)
+    """
+    return cost <= best + CLOSE * max(abs(best), 1.0)

@@ -1,0 +1,341 @@
+"""Owns the search over all charger subsets: relax, order, refine, drive, account.
+
+Every subset is first relaxed, which bounds it or proves it infeasible; those
+whose bound is below the best plan are refined, most promising first; the best
+plan is driven on the continuous model. Subsets are handled in batches of fixed
+size, so the result does not depend on the number of workers. Knows no solver.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from concurrent.futures import Executor, ThreadPoolExecutor
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from functools import partial
+from math import inf
+from typing import Literal
+
+from enumerate.diagnose import diagnose
+from enumerate.gap import DEFAULT_GAP, is_close, is_closed, relative_gap
+from enumerate.ledger import Ledger, Outcome, Row
+from enumerate.pool import run_in_order
+from enumerate.result import Result, Status
+from enumerate.subset import Subset, all_subsets
+from relax.execute import Execution, execute
+from relax.instance import Drive, Instance, make_drive, make_instance
+from relax.plan import Controls
+from relax.refinement import Refined, RefineSettings, best_of, refine
+from relax.relaxation import RelaxedPoint, relax_subset
+from relax.report import make_report
+from relax.starts import even_start, relaxed_start, split_starts
+from relax.trip import Grid, Trip
+
+__all__ = ["MAX_CHARGERS", "Progress", "plan"]
+
+MAX_CHARGERS = 14
+"""More chargers than this are refused: 2^14 relaxations take minutes."""
+BATCH = 4
+"""Subsets refined before the best plan is updated; fixed, so that any number of workers
+closes the same subsets."""
+
+
+@dataclass(frozen=True)
+class Progress:
+    """Where a search stands.
+
+    Parameters
+    ----------
+    phase : str
+        What is being done.
+    done, total : int
+        Subsets.
+    cost : float
+        Best plan so far on the transcription [currency].
+    lower_bound : float
+        Bound so far [currency].
+    """
+
+    phase: str
+    done: int
+    total: int
+    cost: float
+    lower_bound: float
+
+
+@dataclass(frozen=True)
+class _Setting:
+    """What every task needs; picklable."""
+
+    trip: Trip
+    drive: Drive
+    grid: Grid
+    refine: RefineSettings
+
+    def instance(self, subset: Subset) -> Instance:
+        return make_instance(self.trip, subset, self.grid, self.drive)
+
+
+@dataclass(frozen=True)
+class _Node:
+    """A subset on its way through the search."""
+
+    row: Row
+    point: RelaxedPoint | None = None
+    refined: Refined | None = None
+
+
+def _relax(setting: _Setting, subset: Subset) -> _Node:
+    begin = time.perf_counter()
+    relaxed = relax_subset(setting.instance(subset))
+    row = Row(
+        subset,
+        Outcome.INFEASIBLE if relaxed.infeasible else Outcome.UNPROVED,
+        lower_bound=inf if relaxed.infeasible else relaxed.lower_bound,
+        reason=relaxed.reason,
+        programs=relaxed.programs,
+        seconds=time.perf_counter() - begin,
+    )
+    return _Node(row, relaxed.point)
+
+
+def _refine(setting: _Setting, node: _Node, starts: list[Controls] | None = None) -> _Node:
+    begin = time.perf_counter()
+    instance = setting.instance(node.row.subset)
+    if starts is None:
+        point = node.point
+        starts = [even_start(instance) if point is None else relaxed_start(instance, point)]
+    found = [refine(instance, start, setting.refine) for start in starts]
+    best = best_of([*([node.refined] if node.refined else []), *found], instance)
+    row = replace(
+        node.row,
+        cost=best.trajectory.cost if best.feasible else inf,
+        outcome=Outcome.PLANNED if best.feasible else Outcome.UNPROVED,
+        reason="" if best.feasible else "no feasible plan found, none disproved",
+        programs=node.row.programs + sum(r.programs for r in found),
+        seconds=node.row.seconds + time.perf_counter() - begin,
+    )
+    return _Node(row, node.point, best)
+
+
+def _refine_splits(setting: _Setting, node: _Node) -> _Node:
+    assert node.refined is not None
+    instance = setting.instance(node.row.subset)
+    return _refine(setting, node, split_starts(instance, node.refined.controls))
+
+
+class _Search:
+    """State of one search: a node per subset, and when to stop."""
+
+    def __init__(
+        self,
+        setting: _Setting,
+        executor: Executor | None,
+        deadline: float,
+        report: Callable[[Progress], None] | None,
+    ) -> None:
+        self.setting, self.executor = setting, executor
+        self.deadline, self.report = deadline, report
+        self.nodes = {
+            s: _Node(Row(s, Outcome.UNPROVED)) for s in all_subsets(len(setting.trip.chargers))
+        }
+        self.execution: Execution | None = None
+        self.interrupted = ""
+
+    @property
+    def best(self) -> _Node | None:
+        """The node of the cheapest plan; ties go to the fewer stops."""
+        planned = [n for n in self.nodes.values() if n.row.outcome is Outcome.PLANNED]
+        return min(planned, key=lambda n: n.row.cost, default=None)
+
+    @property
+    def cost(self) -> float:
+        """Cost of the cheapest plan."""
+        return inf if self.best is None else self.best.row.cost
+
+    def run(self, task: Callable[[_Setting, _Node], _Node], nodes: list[_Node], phase: str) -> None:
+        """Apply a task to nodes in batches; between batches the clock is looked at."""
+        done = 0
+        bound = partial(task, self.setting)
+        while nodes and not self.interrupted:
+            batch, nodes = nodes[:BATCH], nodes[BATCH:]
+            for node in run_in_order(self.executor, bound, batch):
+                self.nodes[node.row.subset] = node
+                done += 1
+                self._tell(phase, done, done + len(nodes))
+            if phase == "refine":
+                nodes = [n for n in nodes if not self._close(n)]
+            if time.perf_counter() > self.deadline:
+                self.interrupted = "time limit reached"
+
+    def _close(self, node: _Node) -> bool:
+        """Close a subset whose bound shows that it cannot beat the best plan."""
+        best = self.best
+        if best is None or not is_closed(node.row.lower_bound, best.row.cost):
+            return False
+        reason = f"bound {node.row.lower_bound:.2f} is not below the best plan"
+        row = replace(node.row, outcome=Outcome.BOUNDED, reason=reason)
+        self.nodes[row.subset] = replace(node, row=row)
+        return True
+
+    def _tell(self, phase: str, done: int, total: int) -> None:
+        if self.report is not None:
+            bound = min(n.row.lower_bound for n in self.nodes.values())
+            self.report(Progress(phase, done, total, self.cost, bound))
+
+    def open(self) -> list[_Node]:
+        """Unsettled nodes, least bound first; ties go to fewer stops."""
+        nodes = [n for n in self.nodes.values() if n.row.outcome is Outcome.UNPROVED]
+        return sorted(nodes, key=lambda n: n.row.lower_bound)
+
+    def drive(self) -> None:
+        """Drive plans on the continuous model, cheapest first, until one holds."""
+        while (best := self.best) is not None:
+            assert best.refined is not None
+            subset = best.row.subset
+            instance = self.setting.instance(subset)
+            done = execute(self.setting.trip, instance, best.refined, self.setting.refine)
+            if not done.reason:
+                self.execution = done
+                return
+            row = replace(
+                best.row,
+                outcome=Outcome.UNPROVED,
+                cost=inf,
+                reason=f"plan refused in replay: {done.reason}",
+            )
+            self.nodes[subset] = replace(best, row=row)
+
+
+def plan(
+    trip: Trip,
+    *,
+    gap: float = DEFAULT_GAP,
+    time_limit_s: float | None = None,
+    workers: int = 1,
+    executor: Executor | None = None,
+    solver: Literal["clarabel", "osqp"] = "clarabel",
+    grid: Grid | None = None,
+    prune: bool = True,
+    progress: Callable[[Progress], None] | None = None,
+) -> Result:
+    """Plan a trip: stops, charging, heating and cooling, with a bound on what any plan costs.
+
+    Parameters
+    ----------
+    trip : Trip
+        From ``load_trip``.
+    gap : float
+        Relative gap at which the plan may be called optimal.
+    time_limit_s : float, optional
+        Wall-clock limit; the best plan and bound at that moment are returned [s].
+    workers : int
+        Threads over subsets; 1 runs everything in this thread.
+    executor : Executor, optional
+        Any ``concurrent.futures.Executor`` instead, for example processes.
+    solver : {"clarabel", "osqp"}
+        Solver of the quadratic programs. OSQP is less accurate, see ``docs/refinement.md``.
+    grid : Grid, optional
+        Other steps and cells than the trip's.
+    prune : bool
+        Skip subsets whose bound shows that they cannot be better; False plans them all.
+    progress : callable, optional
+        Called with a ``Progress`` after every subset.
+
+    Returns
+    -------
+    Result
+        The same for any number of workers, timings aside. Ctrl-C and the time
+        limit return what is known by then, with ``interrupted`` set.
+
+    Raises
+    ------
+    ValueError
+        More than 14 chargers, or a negative gap.
+
+    Examples
+    --------
+    >>> from enumerate import plan
+    >>> from relax import load_trip
+    >>> result = plan(load_trip("paper-400km", overrides={"route.ambient_c": 10}))
+    >>> result.replay.feasible, result.lower_bound <= result.cost
+    (True, True)
+    """
+    begin = time.perf_counter()
+    if len(trip.chargers) > MAX_CHARGERS:
+        raise ValueError(f"at most {MAX_CHARGERS} chargers, not {len(trip.chargers)}")
+    if not gap >= 0.0:
+        raise ValueError(f"gap must be at least 0, not {gap}")
+    grid = grid or trip.grid
+    setting = _Setting(trip, make_drive(trip, grid.step_km), grid, RefineSettings(solver=solver))
+    timings: dict[str, float] = {}
+
+    def lap(name: str) -> None:
+        timings[name] = time.perf_counter() - begin - sum(timings.values())
+
+    with ExitStack() as stack:
+        if executor is None and workers > 1:
+            executor = stack.enter_context(ThreadPoolExecutor(workers))
+        search = _Search(
+            setting, executor, begin + (inf if time_limit_s is None else time_limit_s), progress
+        )
+        try:
+            search.run(_relax_node, search.open(), "relax")
+            lap("relax")
+            if prune:
+                search.run(_refine, search.open(), "refine")
+            else:
+                search.run(_refine, search.open(), "refine all")
+            close = [
+                n
+                for n in search.nodes.values()
+                if n.refined is not None
+                and n.row.outcome is Outcome.PLANNED
+                and len(n.row.subset) > 1
+                and is_close(n.row.cost, search.cost)
+            ]
+            search.run(_refine_splits, close, "further starts")
+            lap("refine")
+        except KeyboardInterrupt:
+            search.interrupted = "interrupted"
+            lap("refine")
+    search.drive()
+    lap("replay")
+    return _result(search, gap, timings, begin)
+
+
+def _relax_node(setting: _Setting, node: _Node) -> _Node:
+    return _relax(setting, node.row.subset)
+
+
+def _result(search: _Search, gap: float, timings: dict[str, float], begin: float) -> Result:
+    """Sum up a finished or interrupted search."""
+    trip, best, done = search.setting.trip, search.best, search.execution
+    ledger = Ledger(len(trip.chargers), tuple(n.row for n in search.nodes.values()))
+    report, replayed, cost = None, None, inf
+    if best is not None and done is not None and done.replay is not None:
+        report = make_report(trip, search.setting.instance(best.row.subset), done)
+        replayed, cost = done.replay, done.replay.cost
+    status = Status.UNKNOWN
+    if report is not None:
+        within = relative_gap(cost, ledger.lower_bound) <= gap
+        status = Status.OPTIMAL if within else Status.FEASIBLE
+    elif all(row.outcome is Outcome.INFEASIBLE for row in ledger.rows):
+        status = Status.INFEASIBLE
+    timings["total"] = time.perf_counter() - begin
+    return Result(
+        trip=trip.name,
+        currency=trip.currency,
+        status=status,
+        cost=cost,
+        transcribed_cost=inf if done is None else done.trajectory.cost,
+        lower_bound=ledger.lower_bound,
+        plan=report,
+        replay=replayed,
+        ledger=ledger,
+        chargers=tuple(c.name for c in trip.chargers),
+        timings_s=timings,
+        interrupted=search.interrupted,
+        diagnosis=None if report is not None else diagnose(trip, search.setting.drive),
+    )

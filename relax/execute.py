@@ -1,0 +1,160 @@
+"""Owns the step from an optimised plan to one that holds on the continuous model.
+
+Drives the plan; where the transcription's error leaves a limit missed by a hair,
+moves the charging targets or refines once more inside tightened limits. A plan
+that still misses a limit is refused, with the reason. Judges nothing itself:
+the verdict is ``replay``'s.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+from relax.errors import DomainError
+from relax.instance import Instance
+from relax.plan import Controls, Trajectory
+from relax.refinement import Refined, RefineSettings, refine
+from relax.replay import Replay, replay
+
+if TYPE_CHECKING:
+    from relax.trip import Trip
+
+__all__ = ["Execution", "execute"]
+
+TARGET_TOLERANCE_KWH = 1e-6
+"""How exactly the driven trip ends at its least energy [kWh]."""
+MAX_DRIVES = 8
+"""Bound on the replays that move the charging targets; 2 or 3 are usual."""
+MAX_REPAIRS = 3
+"""Bound on the refinements inside tightened limits."""
+REPAIR_MARGIN = 1.5
+"""Limits are tightened by this multiple of what was missed."""
+
+
+@dataclass(frozen=True)
+class Execution:
+    """A plan as executed.
+
+    Parameters
+    ----------
+    controls : Controls
+        What the car is told.
+    targets_kwh : tuple of float
+        Internal energy at which each stop ends [kWh].
+    trajectory : Trajectory
+        The transcription's view of the plan.
+    replay : Replay or None
+        The drive on the continuous model; None if the car could not finish it.
+    reason : str
+        Why the plan is refused; empty if it holds.
+    """
+
+    controls: Controls
+    targets_kwh: tuple[float, ...]
+    trajectory: Trajectory
+    replay: Replay | None
+    reason: str
+
+
+def _drive(trip: Trip, instance: Instance, refined: Refined) -> tuple[tuple[float, ...], Replay]:
+    """Replay, with charging targets moved until the driven energies meet their limits."""
+    targets = [float(s.energy_kwh[-1]) for s in refined.trajectory.stops]
+    driven = replay(trip, instance, refined.controls, tuple(targets))
+    for _ in range(MAX_DRIVES if targets else 0):
+        added = 0.0
+        before = list(targets)
+        for m in range(1, len(targets)):
+            short = instance.stops[m].arrive_min_kwh - driven.stops[m].arrive_energy_kwh - added
+            if short > TARGET_TOLERANCE_KWH:
+                shift = min(short, instance.energy_max_kwh - targets[m - 1])
+                targets[m - 1] += shift
+                added += shift
+        last = len(targets) - 1
+        missing = instance.end_energy_min_kwh - driven.final_energy_kwh
+        room = targets[last] - driven.stops[last].arrive_energy_kwh
+        shift = max(min(missing, instance.energy_max_kwh - targets[last]), -room)
+        targets[last] += shift
+        if max(abs(a - b) for a, b in zip(before, targets, strict=True)) <= TARGET_TOLERANCE_KWH:
+            break
+        driven = replay(trip, instance, refined.controls, tuple(targets))
+    return tuple(targets), driven
+
+
+def _tightened(instance: Instance, driven: Replay) -> Instance:
+    """Return the instance with limits moved inwards by what the drive missed."""
+    for violation in driven.violations:
+        amount = REPAIR_MARGIN * violation.amount
+        if violation.unit == "K" and "above" in violation.rule:
+            instance = replace(instance, temperature_max_c=instance.temperature_max_c - amount)
+        elif violation.unit == "K":
+            instance = replace(instance, temperature_min_c=instance.temperature_min_c + amount)
+        elif violation.unit == "kWh":
+            instance = replace(
+                instance,
+                energy_min_kwh=instance.energy_min_kwh + amount,
+                end_energy_min_kwh=instance.end_energy_min_kwh + amount,
+                stops=tuple(
+                    replace(
+                        s,
+                        arrive_min_kwh=s.arrive_min_kwh + amount,
+                        leave_min_kwh=s.leave_min_kwh + amount,
+                    )
+                    for s in instance.stops
+                ),
+            )
+        elif violation.unit == "h":
+            stops = tuple(replace(s, max_dwell_h=s.max_dwell_h - amount) for s in instance.stops)
+            instance = replace(instance, stops=stops)
+    return instance
+
+
+def execute(
+    trip: Trip, instance: Instance, refined: Refined, settings: RefineSettings | None = None
+) -> Execution:
+    """Drive a refined plan and repair what the transcription's error leaves.
+
+    Parameters
+    ----------
+    trip : Trip
+        The trip.
+    instance : Instance
+        Its transcription for the plan's subset.
+    refined : Refined
+        The plan.
+    settings : RefineSettings, optional
+        For refinements inside tightened limits.
+
+    Returns
+    -------
+    Execution
+        ``reason`` is empty exactly if the replay broke no limit.
+
+    Examples
+    --------
+    >>> from relax import execute, idle_controls, load_trip, make_instance, refine
+    >>> trip = load_trip("paper-400km")
+    >>> instance = make_instance(trip, (1,))
+    >>> done = execute(trip, instance, refine(instance, idle_controls(instance, (20.0,))))
+    >>> done.reason, done.replay.feasible
+    ('', True)
+    """
+    inner = instance
+    driven: Replay | None = None
+    targets: tuple[float, ...] = ()
+    reason = "it violates a limit already on the grid"
+    for attempt in range(MAX_REPAIRS + 1):
+        if not refined.feasible:
+            break
+        try:
+            targets, driven = _drive(trip, instance, refined)
+        except DomainError as error:
+            reason = f"the car cannot drive it: {error}"
+            break
+        if driven.feasible:
+            return Execution(refined.controls, targets, refined.trajectory, driven, "")
+        reason = "; ".join(str(v) for v in driven.violations)
+        if attempt < MAX_REPAIRS:
+            inner = _tightened(inner, driven)
+            refined = refine(inner, refined.controls, settings)
+    return Execution(refined.controls, targets, refined.trajectory, driven, reason)
