@@ -23,11 +23,12 @@ from enumerate.ledger import Ledger, Outcome, Row
 from enumerate.pool import run_in_order
 from enumerate.result import Result, Status
 from enumerate.subset import Subset, all_subsets
+from relax.bound import relax_subset
 from relax.execute import Execution, execute
 from relax.instance import Drive, Instance, make_drive, make_instance
 from relax.plan import Controls
 from relax.refinement import Refined, RefineSettings, best_of, refine
-from relax.relaxation import RelaxedPoint, relax_subset
+from relax.relaxed_point import RelaxedPoint
 from relax.report import make_report
 from relax.starts import even_start, relaxed_start, split_starts
 from relax.trip import Grid, Trip
@@ -89,13 +90,17 @@ class _Node:
 def _relax(setting: _Setting, subset: Subset) -> _Node:
     begin = time.perf_counter()
     relaxed = relax_subset(setting.instance(subset))
+    seconds = time.perf_counter() - begin
+    programs = int(relaxed.solve_s > 0.0)
+    if relaxed.infeasible:
+        reason = "the relaxation has no point" if programs else "out of reach by interval bounds"
+        return _Node(Row(subset, Outcome.INFEASIBLE, inf, inf, reason, programs, seconds))
     row = Row(
         subset,
-        Outcome.INFEASIBLE if relaxed.infeasible else Outcome.UNPROVED,
-        lower_bound=inf if relaxed.infeasible else relaxed.lower_bound,
-        reason=relaxed.reason,
-        programs=relaxed.programs,
-        seconds=time.perf_counter() - begin,
+        Outcome.UNPROVED,
+        lower_bound=-inf if relaxed.lower_bound is None else relaxed.lower_bound,
+        programs=programs,
+        seconds=seconds,
     )
     return _Node(row, relaxed.point)
 

@@ -14,7 +14,7 @@ from relax.plan import Controls, StopControls
 from relax.simulate import idle_controls
 
 if TYPE_CHECKING:
-    from relax.relaxation import RelaxedPoint
+    from relax.relaxed_point import RelaxedPoint
 
 __all__ = ["even_start", "relaxed_start", "split_starts"]
 
