@@ -30,7 +30,7 @@ from relax.plan import Controls
 from relax.refinement import Refined, RefineSettings, best_of, refine
 from relax.relaxed_point import RelaxedPoint
 from relax.report import make_report
-from relax.starts import even_start, relaxed_start, split_starts
+from relax.starts import best_start, split_starts
 from relax.trip import Grid, Trip
 
 __all__ = ["MAX_CHARGERS", "Progress", "plan"]
@@ -109,8 +109,7 @@ def _refine(setting: _Setting, node: _Node, starts: list[Controls] | None = None
     begin = time.perf_counter()
     instance = setting.instance(node.row.subset)
     if starts is None:
-        point = node.point
-        starts = [even_start(instance) if point is None else relaxed_start(instance, point)]
+        starts = [best_start(instance, node.point, node.row.lower_bound)]
     found = [refine(instance, start, setting.refine) for start in starts]
     best = best_of([*([node.refined] if node.refined else []), *found], instance)
     row = replace(

@@ -21,6 +21,10 @@ __all__ = ["CellExpansion", "DriveExpansion", "convex_part", "expand_cells", "ex
 Array = npt.NDArray[np.float64]
 
 
+KINK = 1e-6
+"""Relative difference beyond which an adjoining cell's limit counts as another one."""
+
+
 @dataclass(frozen=True)
 class Term:
     """A nonlinear term: value (m,), gradient (m, v), Hessian (m, v, v) in the block's variables."""
@@ -66,6 +70,9 @@ class CellExpansion:
         T * y [degrees C * h].
     grid_limit : Term
         P_grid_max(E) * y [kWh].
+    other_dwell : tuple of Term
+        (W/K) / P with P the charge limit of an adjoining table cell; infinite where
+        that does not continue the limit concavely [h].
     """
 
     loss: Term
@@ -73,6 +80,7 @@ class CellExpansion:
     pump_heat: Term
     exchange: Term
     grid_limit: Term
+    other_dwell: tuple[Term, ...]
 
 
 def _term(
@@ -192,7 +200,8 @@ def expand_cells(instance: Instance, trajectory: Trajectory) -> CellExpansion:
         },
         5,
     )
-    p, p_e, p_t, p_ee, p_et, p_tt = vehicle.pack.charge_limit_kw.jet(middle, temp)
+    table = vehicle.pack.charge_limit_kw
+    p, p_e, p_t, p_ee, p_et, p_tt = table.jet(middle, temp)
     inv = 1.0 / p
     tau_e, tau_t = -p_e * inv**2, -p_t * inv**2
     least = _term(
@@ -231,9 +240,27 @@ def expand_cells(instance: Instance, trajectory: Trajectory) -> CellExpansion:
         [t.jet(np.clip(m, t.lo, t.hi))[:2] for t, m in zip(tables, split, strict=True)], axis=1
     )
     grid = _term(limit * y, {1: limit, 3: limit_e * y}, {(1, 3): limit_e}, 5)
-    return CellExpansion(
-        *(_to_stop_variables(t, cells) for t in (loss, least, heat, exchange, grid))
+    others = tuple(
+        _to_stop_variables(_kink(e, p, near), cells) for near in table.neighbours(middle, temp)
     )
+    return CellExpansion(
+        loss=_to_stop_variables(loss, cells),
+        least_dwell=_to_stop_variables(least, cells),
+        pump_heat=_to_stop_variables(heat, cells),
+        exchange=_to_stop_variables(exchange, cells),
+        grid_limit=_to_stop_variables(grid, cells),
+        other_dwell=others,
+    )
+
+
+def _kink(e: Array, limit: Array, near: Array) -> Term:
+    """Return the least dwell by an adjoining cell's limit, where that lies above the limit."""
+    above = near[0] > limit * (1.0 + KINK)
+    p = np.where(above, near[0], 1.0)
+    inv = np.where(above, 1.0 / p, 0.0)
+    value = np.where(above, e * inv, -np.inf)
+    gradient = {0: inv, 2: -e * near[2] * inv**2, 3: -e * near[1] * inv**2}
+    return _term(value, gradient, {}, 5)
 
 
 def _to_stop_variables(term: Term, cells: int) -> Term:

@@ -1,9 +1,8 @@
 """Owns lookup tables: (multi)linear interpolation on a declared domain, never beyond it.
 
 The table *is* the model: relaxation, refinement and replay read the same
-numbers. Derivatives are those of the table averaged over one cell (the node
-slopes are central differences, interpolated linearly), which is what a
-Newton-type method needs at a kink. Knows nothing of what the maps mean.
+numbers. First derivatives are the table's, averaged over a narrow window, which
+is what a Newton-type method needs at a kink. Knows nothing of what the maps mean.
 """
 
 from __future__ import annotations
@@ -21,7 +20,10 @@ from relax.errors import DomainError
 __all__ = ["Table1", "Table2"]
 
 Array = npt.NDArray[np.float64]
+Cells = npt.NDArray[np.intp]
 
+WINDOW = 0.1
+"""Half-width of the window over which slopes are averaged, in cells."""
 DOMAIN_SLACK = 1e-9
 """Relative overshoot of a table's domain that is rounding, not extrapolation."""
 
@@ -55,6 +57,18 @@ def _locate(grid: Array, x: Array, name: str) -> tuple[npt.NDArray[np.intp], Arr
     index = np.clip(np.searchsorted(grid, x, side="right") - 1, 0, grid.size - 2)
     weight = (x - grid[index]) / (grid[index + 1] - grid[index])
     return index, np.clip(weight, 0.0, 1.0)
+
+
+def _blend1(f: Array, i: Cells, w: Array) -> Array:
+    """Return linear interpolation of node values between nodes i and i + 1."""
+    return np.asarray(f[i] * (1.0 - w) + f[i + 1] * w)
+
+
+def _blend2(f: Array, i: Cells, u: Array, j: Cells, v: Array) -> Array:
+    """Return bilinear interpolation of node values, shape (..., n, m)."""
+    low = (1.0 - v) * f[..., i, j] + v * f[..., i, j + 1]
+    high = (1.0 - v) * f[..., i + 1, j] + v * f[..., i + 1, j + 1]
+    return np.asarray((1.0 - u) * low + u * high)
 
 
 @dataclass(frozen=True)
@@ -119,13 +133,17 @@ class Table1:
         return self.x.tolist(), self.f.tolist(), slope.tolist(), slack
 
     @cached_property
-    def _jet_table(self) -> Array:
-        first = _slopes(self.x, self.f)
-        return np.stack([self.f, first, _slopes(self.x, first)])
+    def _curvature(self) -> Array:
+        return _slopes(self.x, _slopes(self.x, self.f))
+
+    @cached_property
+    def _window(self) -> float:
+        return WINDOW * float(np.diff(self.x).min())
 
     def __call__(self, x: npt.ArrayLike) -> Array:
         """Return the values at ``x`` (any shape); DomainError outside the table."""
-        return np.asarray(self.jet(x)[0])
+        x = np.asarray(x, dtype=np.float64)
+        return _blend1(self.f, *_locate(self.x, x, self.name))
 
     def at(self, x: float) -> float:
         """Return the value at one float: the fast path of simulation and replay."""
@@ -159,12 +177,15 @@ class Table1:
     def jet(self, x: npt.ArrayLike) -> Array:
         """Return value, first and second derivative, shape (3, *x.shape).
 
-        The value is the table's; the derivatives are those of the table
-        averaged over one cell (continuous; exact for an affine table).
+        The first derivative is the table's, averaged over a window of a tenth of
+        a cell on either side, so it is continuous across nodes; the second comes
+        from differences of node slopes: the curvature of the function behind the table.
         """
         x = np.asarray(x, dtype=np.float64)
         i, w = _locate(self.x, x, self.name)
-        return self._jet_table[:, i] * (1.0 - w) + self._jet_table[:, i + 1] * w
+        lo, hi = np.maximum(x - self._window, self.lo), np.minimum(x + self._window, self.hi)
+        rise = self(hi) - self(lo)
+        return np.stack([_blend1(self.f, i, w), rise / (hi - lo), _blend1(self._curvature, i, w)])
 
 
 @dataclass(frozen=True)
@@ -228,15 +249,21 @@ class Table2:
         )
 
     @cached_property
-    def _jet_table(self) -> Array:
+    def _curvature(self) -> Array:
+        """Second derivatives f_xx, f_xy, f_yy at the nodes, shape (3, n, m)."""
         fx = _slopes(self.x, self.f, 0)
         fy = _slopes(self.y, self.f, 1)
-        fxy = _slopes(self.y, fx, 1)
-        return np.stack([self.f, fx, fy, _slopes(self.x, fx, 0), fxy, _slopes(self.y, fy, 1)])
+        return np.stack([_slopes(self.x, fx, 0), _slopes(self.y, fx, 1), _slopes(self.y, fy, 1)])
+
+    @cached_property
+    def _windows(self) -> tuple[float, float]:
+        return WINDOW * float(np.diff(self.x).min()), WINDOW * float(np.diff(self.y).min())
 
     def __call__(self, x: npt.ArrayLike, y: npt.ArrayLike) -> Array:
         """Return the values at the points (x, y) of one shape; DomainError outside."""
-        return np.asarray(self.jet(x, y)[0])
+        x, y = np.broadcast_arrays(np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64))
+        at_x, at_y = _locate(self.x, x, self.name), _locate(self.y, y, self.name)
+        return _blend2(self.f, *at_x, *at_y)
 
     def at(self, x: float, y: float) -> float:
         """Return the value at one point of floats: the fast path of simulation and replay."""
@@ -256,6 +283,13 @@ class Table2:
         return (1.0 - u) * ((1.0 - v) * left[j] + v * left[j + 1]) + u * (
             (1.0 - v) * right[j] + v * right[j + 1]
         )
+
+    @cached_property
+    def roughness(self) -> float:
+        """Largest second difference over the largest value: how sharp the kinks are."""
+        bends = [np.abs(np.diff(self.f, 2, axis=axis)) for axis in (0, 1) if self.f.shape[axis] > 2]
+        top = float(np.abs(self.f).max())
+        return max((float(b.max()) for b in bends), default=0.0) / top if top > 0.0 else 0.0
 
     def clamped(self) -> Callable[[float, float], float]:
         """Return a fast function of two floats that takes the nearest point of the domain."""
@@ -280,12 +314,36 @@ class Table2:
     def jet(self, x: npt.ArrayLike, y: npt.ArrayLike) -> Array:
         """Return f, f_x, f_y, f_xx, f_xy, f_yy, shape (6, *x.shape).
 
-        The value is the table's; the derivatives are averaged over one cell.
+        Derivatives as in ``Table1.jet``.
         """
         x, y = np.broadcast_arrays(np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64))
-        i, u = _locate(self.x, x, self.name)
-        j, v = _locate(self.y, y, self.name)
-        t = self._jet_table
-        return (1.0 - u) * ((1.0 - v) * t[:, i, j] + v * t[:, i, j + 1]) + u * (
-            (1.0 - v) * t[:, i + 1, j] + v * t[:, i + 1, j + 1]
-        )
+        at_x, at_y = _locate(self.x, x, self.name), _locate(self.y, y, self.name)
+        dx, dy = self._windows
+        x_lo, x_hi = np.maximum(x - dx, self.x[0]), np.minimum(x + dx, self.x[-1])
+        y_lo, y_hi = np.maximum(y - dy, self.y[0]), np.minimum(y + dy, self.y[-1])
+        by_x = (self(x_hi, y) - self(x_lo, y)) / (x_hi - x_lo)
+        by_y = (self(x, y_hi) - self(x, y_lo)) / (y_hi - y_lo)
+        value = _blend2(self.f, *at_x, *at_y)
+        return np.stack([value, by_x, by_y, *_blend2(self._curvature, *at_x, *at_y)])
+
+    def neighbours(self, x: npt.ArrayLike, y: npt.ArrayLike) -> Array:
+        """Return the adjoining cells' functions, continued to the points, shape (4, 3, *x.shape).
+
+        Value and derivatives by x and y of the bilinear functions of the cells
+        before and after in x, before and after in y; at the table's edge, of the
+        own cell. Where one lies above the table there is a concave kink between.
+        """
+        x, y = np.broadcast_arrays(np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64))
+        i, _ = _locate(self.x, x, self.name)
+        j, _ = _locate(self.y, y, self.name)
+        last_i, last_j = self.x.size - 2, self.y.size - 2
+        found = []
+        for di, dj in ((-1, 0), (1, 0), (0, -1), (0, 1)):
+            a, b = np.clip(i + di, 0, last_i), np.clip(j + dj, 0, last_j)
+            dx, dy = self.x[a + 1] - self.x[a], self.y[b + 1] - self.y[b]
+            u, v = (x - self.x[a]) / dx, (y - self.y[b]) / dy
+            f = self.f
+            by_x = ((1 - v) * (f[a + 1, b] - f[a, b]) + v * (f[a + 1, b + 1] - f[a, b + 1])) / dx
+            by_y = ((1 - u) * (f[a, b + 1] - f[a, b]) + u * (f[a + 1, b + 1] - f[a + 1, b])) / dy
+            found.append(np.stack([_blend2(f, a, u, b, v), by_x, by_y]))
+        return np.stack(found)

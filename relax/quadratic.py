@@ -299,6 +299,12 @@ class QuadraticStep(StepLayout):
             spread(terms.least_dwell.gradient - unit[1]),
             np.maximum(y - terms.least_dwell.value, 0.0),
         )
+        for k in self.kinks:
+            term = terms.other_dwell[k]
+            matters = np.isfinite(term.value)
+            row = np.where(matters[:, None], term.gradient - unit[1], 0.0)
+            spare = np.where(matters, y - np.where(matters, term.value, 0.0), 1.0)
+            values[f"other_dwell_{k}"] = (spread(row), np.maximum(spare, 0.0))
         room = vehicle.heater_kw * y - heater - y * joined("cabin_heater_kw")
         values["cell_heater_min"] = ((-1.0,), heater)
         values["cell_heater_max"] = (

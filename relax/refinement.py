@@ -33,6 +33,12 @@ END_TOLERANCE_KWH = 1e-5
 """How exactly the energy at the end of the trip meets its limit [kWh]."""
 NEARLY_FEASIBLE = 1e-2
 """Violation that further steps are worth, however little they gain [kWh, K, kW, h]."""
+GROW = 0.4
+"""Share of the predicted gain above which the trust region grows."""
+LEAST_TRUST_K = 0.05
+"""Trust region below which the search ends: it stands on a kink [K]."""
+LARGEST_TRUST_K = 16.0
+"""Trust region beyond which it does not grow [K]."""
 MAX_PASSES = 6
 """Bound on the simulations that meet the energy limits; each gains a factor of about 50."""
 FEASIBLE = 2e-5
@@ -182,26 +188,6 @@ def _shortage(
     return shifts
 
 
-def applied(controls: Controls, trajectory: Trajectory) -> Controls:
-    """Return the controls as the simulation applied them, after clipping."""
-    return replace(
-        controls,
-        heater_kw=trajectory.heater_kw,
-        cooling_kw=trajectory.cooling_kw,
-        heat_pump_kw=trajectory.heat_pump_kw,
-        stops=tuple(
-            StopControls(
-                energy_kwh=c.energy_kwh,
-                power_kw=s.power_kw,
-                heater_kw=s.heater_kw,
-                cooling_kw=s.cooling_kw,
-                heat_pump_kw=s.heat_pump_kw,
-            )
-            for c, s in zip(controls.stops, trajectory.stops, strict=True)
-        ),
-    )
-
-
 def _next_controls(
     step: QuadraticStep, program: StepProgram, x: Array, now: Trajectory, length: float
 ) -> Controls:
@@ -242,6 +228,8 @@ def _next_controls(
             return np.maximum((before * done_h + change) / y, 0.0)
 
         fast = bound("least_dwell")[part] | bound("grid_limit")[part]
+        for k in step.kinks:
+            fast |= bound(f"other_dwell_{k}")[part]
         cell_heater = power(done.heater_kw, x[step.cell_heater[part]])
         cell_heater[bound("cell_heater_max")[part]] = vehicle.heater_kw
         cell_pump = np.zeros(cells)
@@ -324,7 +312,7 @@ def refine(
         drive = expand_drive(instance, now)
         cells = expand_cells(instance, now) if now.stops else None
         accepted = False
-        while programs < settings.max_programs:
+        while programs < settings.max_programs and trust.temperature_k > LEAST_TRUST_K:
             program = step.build(now, drive, cells, multipliers, penalty, trust)
             solution = solve(program)
             if solution.status not in (SolveStatus.SOLVED, SolveStatus.INACCURATE):
@@ -350,7 +338,7 @@ def refine(
             if gained > 0.05 * predicted:
                 accepted = True
                 break
-            trust = trust.scaled(0.35)
+            trust = trust.scaled(0.3)
         if not accepted:
             break
         if gained > 1.25 * predicted:
@@ -361,8 +349,8 @@ def refine(
                 if merit(instance, far) >= merit(instance, then):
                     break
                 trial, then = longer, far
-        if gained > 0.6 * predicted and trust.temperature_k < 16.0:
-            trust = trust.scaled(1.6)
+        if gained > GROW * predicted and trust.temperature_k < LARGEST_TRUST_K:
+            trust = trust.scaled(2.0)
         controls, now, value = trial, then, merit(instance, then)
         multipliers = solution.z
         watch = step.watch.extended(instance, now)

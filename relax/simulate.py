@@ -8,21 +8,22 @@ optimisation.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from math import inf, sqrt
 
 import numpy as np
 
+from relax.errors import DomainError
 from relax.instance import Drive, Instance, Stop
 from relax.plan import Controls, StopControls, StopTrajectory, Trajectory
 
-__all__ = ["Simulation", "idle_controls", "simulate", "stop_cost"]
+__all__ = ["Simulation", "Thermostat", "idle_controls", "simulate", "stop_cost"]
 
 TEMPERATURE_TOLERANCE_K = 1e-9
 """Change of the end temperature at which a step's implicit equation counts as solved [K]."""
-MAX_ITERATIONS = 60
-"""Bound on the iterations of one implicit equation; 3 to 5 are usual."""
+MAX_ITERATIONS = 20
+"""Secant steps of one implicit equation before it is bracketed; 3 to 5 are usual."""
 MIN_CHARGE_SHARE = 0.1
 """Share of a charger's free power that heaters may not take, so that charging goes on."""
 
@@ -34,22 +35,34 @@ def _pump_power(heat_kw: float, cop: float, droop: float) -> float:
     return 2.0 * ratio / (1.0 + sqrt(root)) if root >= 0.0 else inf
 
 
-class _Fixed:
-    """Solve T' = phi(T') by secant steps; phi is a mild contraction."""
+def _solve_implicit(phi: Callable[[float], float], guess: float) -> float:
+    """Solve T' = phi(T') by secant steps, and by bracketing where those do not settle.
 
-    @staticmethod
-    def solve(phi: Callable[[float], float], guess: float) -> float:
-        x0 = guess
-        f0 = phi(x0) - x0
-        x1 = x0 + f0
-        for _ in range(MAX_ITERATIONS):
-            f1 = phi(x1) - x1
-            if abs(f1) <= TEMPERATURE_TOLERANCE_K:
-                break
-            slope = (f1 - f0) / (x1 - x0)
-            step = -f1 / slope if slope < -0.1 else f1
-            x0, f0, x1 = x1, f1, x1 + step
-        return x1
+    Raises
+    ------
+    DomainError
+        No solution within 1000 K: the controls make no sense.
+    """
+    x0 = guess
+    f0 = phi(x0) - x0
+    x1 = x0 + f0
+    for _ in range(MAX_ITERATIONS):
+        f1 = phi(x1) - x1
+        if abs(f1) <= TEMPERATURE_TOLERANCE_K:
+            return x1
+        slope = (f1 - f0) / (x1 - x0)
+        step = -f1 / slope if slope < -0.1 else f1
+        x0, f0, x1 = x1, f1, x1 + step
+    lo = hi = guess
+    width = 1.0
+    while phi(lo) < lo or phi(hi) > hi:
+        if width > 1000.0:
+            raise DomainError("a charging cell or driving step has no end temperature")
+        lo, hi, width = guess - width, guess + width, 2.0 * width
+    while hi - lo > TEMPERATURE_TOLERANCE_K:
+        middle = 0.5 * (lo + hi)
+        lo, hi = (middle, hi) if phi(middle) > middle else (lo, middle)
+    return 0.5 * (lo + hi)
 
 
 class _Car:
@@ -99,8 +112,9 @@ def _drive_step(
     cooling: float,
     pump_set: float,
     guess: float,
+    cap: float,
 ) -> StepResult:
-    """Advance one driving step.
+    """Advance one driving step; the heater is cut back where it would heat beyond ``cap``.
 
     Returns end temperature, power, loss, brake, heater, pump, pump heat, cabin heater
     and the excess over the discharge limit.
@@ -114,9 +128,14 @@ def _drive_step(
         nonlocal power, out
         mid = 0.5 * (temp + end)
         heater, pump, heat, cabin = car.actuators(mid, demand, heater_set, pump_set)
-        load = base + heater + cooling + pump + cabin
         e_mid = energy - half_d * power
         r = car.resistance(mid) / car.voltage_squared(e_mid)
+        flow = q_ed - car.cooling_cop * cooling - (heat - pump) + conductance * (ambient - mid)
+        if heater > 0.0:
+            load = base + heater + cooling + pump + cabin
+            room = cap - temp - scale * (flow + r * (load * load + ripple))
+            heater = max(min(heater, room / (scale * car.heater_eff)), 0.0)
+        load = base + heater + cooling + pump + cabin
         total = load + r * ripple
         root = 1.0 - 4.0 * r * total
         power = 2.0 * total / (1.0 + sqrt(root)) if root > 0.0 else 2.0 * total
@@ -127,13 +146,11 @@ def _drive_step(
                 power = -limit
                 brake = power - r * (power * power + ripple) - load
         loss = r * (power * power + ripple)
-        flow = loss + q_ed + car.heater_eff * heater - car.cooling_cop * cooling - (heat - pump)
-        flow += conductance * (ambient - mid)
-        result = temp + scale * flow
+        result = temp + scale * (flow + loss + car.heater_eff * heater)
         out = (result, power, loss, brake, heater, pump, heat, cabin, 0.0)
         return result
 
-    end = _Fixed.solve(phi, guess)
+    end = _solve_implicit(phi, guess)
     over = out[1] - car.discharge_limit(energy - half_d * power, 0.5 * (temp + end))
     return (end, *out[1:8], over)
 
@@ -152,9 +169,14 @@ def _drive_rows(drive: Drive) -> list[tuple[float, ...]]:
 
 
 def _charge(
-    car: _Car, stop: Stop, controls: StopControls, energy: float, temp: float
+    car: _Car,
+    stop: Stop,
+    controls: StopControls,
+    energy: float,
+    temp: float,
+    caps: Sequence[float],
 ) -> StopTrajectory:
-    """Charge at one stop from the state after the detour in."""
+    """Charge at one stop from the state after the detour in; heaters as in ``_drive_step``."""
     cells = controls.power_kw.size
     e = controls.energy_kwh / cells
     rows: list[tuple[float, ...]] = []
@@ -174,7 +196,7 @@ def _charge(
         voltage_squared = car.voltage_squared(e_mid)
         grid_max = grid_limit(e_mid)
         cooling = min(cooling_set, car.cooling_kw)
-        start = temps[-1]
+        start, cap = temps[-1], caps[j]
         row: tuple[float, ...] = ()
 
         def phi(
@@ -187,6 +209,7 @@ def _charge(
             power_set: float = power_set,
             heater_set: float = heater_set,
             pump_set: float = pump_set,
+            cap: float = cap,
         ) -> float:
             nonlocal row
             mid = 0.5 * (start + end)
@@ -200,15 +223,19 @@ def _charge(
             power = min(power, 2.0 * room / (1.0 + sqrt(1.0 + 4.0 * r * room)))
             dwell = e / power
             loss = r * power * power
-            flow = loss + car.heater_eff * heater - car.cooling_cop * cooling - (heat - pump)
+            flow = loss - car.cooling_cop * cooling - (heat - pump)
             flow += stop.heat_loss_kw_per_k * (stop.ambient_c - mid)
+            if heater > 0.0:
+                room = (cap - start) * car.capacity / dwell - flow
+                heater = max(min(heater, room / car.heater_eff), 0.0)
+            flow += car.heater_eff * heater
             grid = power + loss + base + heater + cooling + pump + cabin
             row = (
                 dwell, power, grid * dwell, loss * dwell, heater, cooling, pump, heat, cabin, limit,
             )  # fmt: skip
             return start + flow * dwell / car.capacity
 
-        end = _Fixed.solve(phi, start + rise)
+        end = _solve_implicit(phi, start + rise)
         rise = end - start
         temps.append(end)
         rows.append(row)
@@ -256,6 +283,22 @@ class _Walk:
         )
 
 
+@dataclass(frozen=True)
+class Thermostat:
+    """Battery temperatures beyond which the heater does not heat.
+
+    Parameters
+    ----------
+    drive_c : sequence of float, length n
+        At the end of every driving step [degrees C].
+    stops_c : sequence of sequences of float
+        At the end of every cell, per stop [degrees C].
+    """
+
+    drive_c: Sequence[float]
+    stops_c: Sequence[Sequence[float]]
+
+
 class Simulation:
     """Simulates one instance again and again, keeping what a change leaves untouched.
 
@@ -270,8 +313,14 @@ class Simulation:
         self._car = _Car(instance)
         self._drive_rows = _drive_rows(instance.drive)
         self._at_stop: list[_Walk] = []
+        n, cells = instance.drive.n_steps, instance.cells
+        top = instance.temperature_max_c
+        self._limit = Thermostat([top] * n, [[top] * cells] * len(instance.stops))
+        self._thermostat = self._limit
 
-    def run(self, controls: Controls, keep: int = 0) -> Trajectory:
+    def run(
+        self, controls: Controls, keep: int = 0, thermostat: Thermostat | None = None
+    ) -> Trajectory:
         """Return the trajectory of the controls.
 
         Parameters
@@ -280,8 +329,12 @@ class Simulation:
             Powers per step and cell.
         keep : int
             The controls before stop ``keep`` are those of the last run.
+        thermostat : Thermostat, optional
+            Temperatures beyond which the heaters do not heat; the battery's limit
+            by default.
         """
         stops = self.instance.stops
+        self._thermostat = thermostat or self._limit
         walk = _Walk(self.instance.start_energy_kwh, self.instance.start_temperature_c)
         node = 0
         if 0 < keep < len(self._at_stop):
@@ -318,12 +371,13 @@ class Simulation:
             np.minimum(controls.cooling_kw[begin:end], car.cooling_kw).tolist(),
             controls.heat_pump_kw[begin:end].tolist(),
             least[begin + 1 : end + 1].tolist(),
+            self._thermostat.drive_c[begin:end],
             strict=True,
         )
         short = walk.short
-        for row, heater, cooling, pump, low in settings:
+        for row, heater, cooling, pump, low, cap in settings:
             walk.start.append((energy, temp))
-            result = _drive_step(car, row, energy, temp, heater, cooling, pump, temp + rise)
+            result = _drive_step(car, row, energy, temp, heater, cooling, pump, temp + rise, cap)
             rise = result[0] - temp
             energy, temp = energy - row[0] * result[1], result[0]
             if low - energy > short:
@@ -336,7 +390,12 @@ class Simulation:
         """Charge at stop i."""
         stop = self.instance.stops[i]
         done = _charge(
-            self._car, stop, controls.stops[i], walk.energy - stop.detour_in_kwh, walk.temp
+            self._car,
+            stop,
+            controls.stops[i],
+            walk.energy - stop.detour_in_kwh,
+            walk.temp,
+            self._thermostat.stops_c[i],
         )
         first, last = float(done.energy_kwh[0]), float(done.energy_kwh[-1])
         dwell = float(done.dwell_h.sum())
@@ -395,7 +454,8 @@ def simulate(instance: Instance, controls: Controls) -> Trajectory:
         Subset and grid.
     controls : Controls
         Powers per step and cell; clipped to the actuators, the cabin's demand
-        and the charge limits where they exceed them.
+        and the charge limits where they exceed them. The battery heater never
+        heats beyond the battery's temperature limit.
 
     Returns
     -------

@@ -11,15 +11,20 @@ import numpy.typing as npt
 
 from relax.instance import MIN_CHARGE_KWH, Instance
 from relax.plan import Controls, StopControls
-from relax.simulate import idle_controls
+from relax.refinement import complete, merit
+from relax.simulate import Simulation, Thermostat, idle_controls
 
 if TYPE_CHECKING:
     from relax.relaxed_point import RelaxedPoint
 
-__all__ = ["even_start", "relaxed_start", "split_starts"]
+__all__ = ["best_start", "even_start", "relaxed_start", "split_starts", "warm_start"]
 
 Array = npt.NDArray[np.float64]
 
+NEAR = 0.15
+"""Relative distance to its bound within which the relaxed start is taken as it is."""
+WARM_LEVELS = ((10.0, 0.0), (20.0, 0.5), (30.0, 0.5), (30.0, 1.0))
+"""Temperature and time ahead of the stop of the warm starts [degrees C, h]."""
 SMALL_SHARE = 0.1
 """Share of the energy that stays with each other stop when one carries most."""
 
@@ -40,7 +45,11 @@ def even_start(instance: Instance) -> Controls:
 
 
 def relaxed_start(instance: Instance, point: RelaxedPoint) -> Controls:
-    """Return the controls of a relaxed optimum; the simulation makes a real trajectory of them."""
+    """Return controls that follow a relaxed optimum: its stops, its battery temperature.
+
+    The relaxation warms the battery partly by losses that do not exist; the
+    heater, as far as it can, makes up for them.
+    """
     stops: list[StopControls] = []
     for stop in point.stops:
         hours = np.maximum(stop.dwell_h, 1e-9)
@@ -48,16 +57,96 @@ def relaxed_start(instance: Instance, point: RelaxedPoint) -> Controls:
             StopControls(
                 energy_kwh=max(float(stop.energy_kwh), MIN_CHARGE_KWH),
                 power_kw=np.full(instance.cells, inf),
-                heater_kw=np.maximum(stop.heater_kwh / hours, 0.0),
+                heater_kw=np.full(instance.cells, instance.vehicle.heater_kw),
                 cooling_kw=np.maximum(stop.cooling_kwh / hours, 0.0),
                 heat_pump_kw=np.maximum(stop.heat_pump_kwh / hours, 0.0),
             )
         )
-    return Controls(
-        heater_kw=np.maximum(point.heater_kw, 0.0),
+    wanted = Controls(
+        heater_kw=np.full(instance.drive.n_steps, instance.vehicle.heater_kw),
         cooling_kw=np.maximum(point.cooling_kw, 0.0),
         heat_pump_kw=np.maximum(point.heat_pump_kw, 0.0),
         stops=tuple(stops),
+    )
+    thermostat = Thermostat(
+        point.temperature_c[1 : instance.drive.n_steps + 1].tolist(),
+        [stop.temperature_c[1:].tolist() for stop in point.stops],
+    )
+    return _followed(instance, wanted, thermostat)
+
+
+def warm_start(
+    instance: Instance, controls: Controls, temperature_c: float, ahead_h: float
+) -> Controls:
+    """Return controls that heat the battery up to a temperature before and during every stop.
+
+    Parameters
+    ----------
+    instance : Instance
+        Subset and grid.
+    controls : Controls
+        Everything but the heater.
+    temperature_c : float
+        Where the heater stops [degrees C].
+    ahead_h : float
+        Driving time before each stop from which it heats [h].
+    """
+    clock = np.cumsum(instance.drive.duration_h)
+    heater = np.zeros(instance.drive.n_steps)
+    for stop in instance.stops:
+        arrival = clock[stop.node - 1] if stop.node else 0.0
+        heater[: stop.node][clock[: stop.node] > arrival - ahead_h] = instance.vehicle.heater_kw
+    full = np.full(instance.cells, instance.vehicle.heater_kw)
+    wanted = replace(
+        controls,
+        heater_kw=heater,
+        stops=tuple(replace(s, heater_kw=full) for s in controls.stops),
+    )
+    top = min(temperature_c, instance.temperature_max_c)
+    caps = [top] * instance.cells
+    return _followed(
+        instance, wanted, Thermostat([top] * heater.size, [caps] * len(instance.stops))
+    )
+
+
+def best_start(instance: Instance, point: RelaxedPoint | None, bound: float) -> Controls:
+    """Return the most promising start: the relaxed one if near its bound, else the best of a few.
+
+    Parameters
+    ----------
+    instance : Instance
+        Subset and grid.
+    point : RelaxedPoint or None
+        Relaxed optimum.
+    bound : float
+        Lower bound of the subset [currency].
+    """
+    simulation = Simulation(instance)
+
+    def value(controls: Controls) -> float:
+        return merit(instance, complete(simulation, controls)[1])
+
+    even = even_start(instance)
+    candidates = [even if point is None else relaxed_start(instance, point)]
+    values = [value(candidates[0])]
+    if values[0] > bound + NEAR * abs(bound) and instance.stops:
+        split = candidates[0]
+        cold = replace(even, stops=split.stops)
+        candidates += [warm_start(instance, cold, *level) for level in WARM_LEVELS]
+        candidates.append(even)
+        values += [value(c) for c in candidates[1:]]
+    return candidates[int(np.argmin(values))]
+
+
+def _followed(instance: Instance, wanted: Controls, thermostat: Thermostat) -> Controls:
+    """Return the heater powers that a thermostat leads to, everything else as wanted."""
+    ran = Simulation(instance).run(wanted, thermostat=thermostat)
+    return replace(
+        wanted,
+        heater_kw=ran.heater_kw,
+        stops=tuple(
+            replace(c, heater_kw=s.heater_kw) for c, s in zip(wanted.stops, ran.stops, strict=True)
+        ),
     )
 
 

@@ -22,6 +22,8 @@ Index = npt.NDArray[np.intp]
 
 COOLING_NEAR_K = 10.0
 """Cooling becomes a control once the battery comes this near to its upper limit [K]."""
+ROUGH = 0.1
+"""Roughness of the charge limit's table beyond which its kinks get rows of their own."""
 DISCHARGE_NEAR = 0.5
 """The discharge limit is watched once the power exceeds this share of it."""
 
@@ -77,6 +79,8 @@ class StepLayout:
     def __init__(self, instance: Instance, watch: Watch | None = None) -> None:
         self.instance, self.watch = instance, watch or Watch()
         n, cells, stops = instance.drive.n_steps, instance.cells, instance.stops
+        rough = instance.vehicle.pack.charge_limit_kw.roughness > ROUGH
+        self.kinks = range(4) if rough else range(0)
         size = 0
 
         def take(count: int) -> Index:
@@ -183,6 +187,7 @@ class StepLayout:
             dwell = tuple(self.dwell.reshape(m, -1).T)
             blocks += [
                 ("least_dwell", cell),
+                *((f"other_dwell_{k}", cell) for k in self.kinks),
                 ("grid_limit", thermal),
                 ("cell_heater_min", (self.cell_heater,)),
                 ("cell_heater_max", (*cell, self.cell_heater)),
