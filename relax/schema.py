@@ -93,6 +93,9 @@ class VehicleFile(Strict):
     heater_cabin_efficiency: Annotated[Efficiency, _say("heat per power, cabin path")] = 1.0
     cooling_kw: Annotated[NonNegative, _say("largest battery cooling power, kW electrical")]
     cooling_cop: Annotated[Positive, _say("heat removed per cooling power")]
+    cooling_from_c: Annotated[
+        Celsius, _say("battery temperature below which the battery is not cooled")
+    ] = 25.0
     heat_pump_kw: Annotated[NonNegative, _say("largest compressor power, kW; 0: none")]
     heat_pump_cop: Annotated[
         Curve | None, _say("points [battery degrees C, CoP at vanishing power] or a number")

@@ -81,6 +81,7 @@ class _Car:
         self.cabin_eff = vehicle.heater_cabin_efficiency
         self.cooling_kw = vehicle.cooling_kw
         self.cooling_cop = vehicle.cooling_cop
+        self.cooling_from = vehicle.cooling_from_c
         self.pump_kw = vehicle.heat_pump_kw
         self.droop = vehicle.heat_pump_droop_per_kw
 
@@ -100,7 +101,7 @@ class _Car:
         return max(min(heater, self.heater_kw - cabin), 0.0), max(pump, 0.0), heat, cabin
 
 
-StepResult = tuple[float, float, float, float, float, float, float, float, float]
+StepResult = tuple[float, float, float, float, float, float, float, float, float, float]
 
 
 def _drive_step(
@@ -109,20 +110,23 @@ def _drive_step(
     energy: float,
     temp: float,
     heater_set: float,
-    cooling: float,
+    cooling_set: float,
     pump_set: float,
     guess: float,
     cap: float,
 ) -> StepResult:
-    """Advance one driving step; the heater is cut back where it would heat beyond ``cap``.
+    """Advance one driving step.
 
-    Returns end temperature, power, loss, brake, heater, pump, pump heat, cabin heater
-    and the excess over the discharge limit.
+    The heater is cut back where it would heat beyond ``cap``, cooling where it would
+    cool below the temperature from which it works.
+
+    Returns end temperature, power, loss, brake, heater, pump, pump heat, cabin heater,
+    cooling and the excess over the discharge limit.
     """
     d, base, ripple, q_ed, ambient, conductance, demand = row
     half_d, scale = 0.5 * d, d / car.capacity
     power = 0.0
-    out: StepResult = (0.0,) * 9
+    out: StepResult = (0.0,) * 10
 
     def phi(end: float) -> float:
         nonlocal power, out
@@ -130,11 +134,17 @@ def _drive_step(
         heater, pump, heat, cabin = car.actuators(mid, demand, heater_set, pump_set)
         e_mid = energy - half_d * power
         r = car.resistance(mid) / car.voltage_squared(e_mid)
-        flow = q_ed - car.cooling_cop * cooling - (heat - pump) + conductance * (ambient - mid)
-        if heater > 0.0:
+        flow = q_ed - (heat - pump) + conductance * (ambient - mid)
+        cooling = cooling_set
+        if heater > 0.0 or cooling > 0.0:
             load = base + heater + cooling + pump + cabin
-            room = cap - temp - scale * (flow + r * (load * load + ripple))
-            heater = max(min(heater, room / (scale * car.heater_eff)), 0.0)
+            end_free = temp + scale * (flow + r * (load * load + ripple))
+            heater = max(min(heater, (cap - end_free) / (scale * car.heater_eff)), 0.0)
+            load = base + heater + pump + cabin  # cooling's own load would overstate the loss
+            end_free = temp + scale * (flow + r * (load * load + ripple))
+            spare = end_free + scale * car.heater_eff * heater - car.cooling_from
+            cooling = max(min(cooling, spare / (scale * car.cooling_cop)), 0.0)
+            flow -= car.cooling_cop * cooling
         load = base + heater + cooling + pump + cabin
         total = load + r * ripple
         root = 1.0 - 4.0 * r * total
@@ -147,12 +157,12 @@ def _drive_step(
                 brake = power - r * (power * power + ripple) - load
         loss = r * (power * power + ripple)
         result = temp + scale * (flow + loss + car.heater_eff * heater)
-        out = (result, power, loss, brake, heater, pump, heat, cabin, 0.0)
+        out = (result, power, loss, brake, heater, pump, heat, cabin, cooling, 0.0)
         return result
 
     end = _solve_implicit(phi, guess)
     over = out[1] - car.discharge_limit(energy - half_d * power, 0.5 * (temp + end))
-    return (end, *out[1:8], over)
+    return (end, *out[1:9], over)
 
 
 def _drive_rows(drive: Drive) -> list[tuple[float, ...]]:
@@ -195,7 +205,7 @@ def _charge(
         e_mid = energy + (j + 0.5) * e
         voltage_squared = car.voltage_squared(e_mid)
         grid_max = grid_limit(e_mid)
-        cooling = min(cooling_set, car.cooling_kw)
+        cooling_set = min(cooling_set, car.cooling_kw)
         start, cap = temps[-1], caps[j]
         row: tuple[float, ...] = ()
 
@@ -205,7 +215,7 @@ def _charge(
             e_mid: float = e_mid,
             voltage_squared: float = voltage_squared,
             grid_max: float = grid_max,
-            cooling: float = cooling,
+            cooling_set: float = cooling_set,
             power_set: float = power_set,
             heater_set: float = heater_set,
             pump_set: float = pump_set,
@@ -217,18 +227,20 @@ def _charge(
             r = car.resistance(mid) / voltage_squared
             limit = car.charge_limit(e_mid, mid)
             power = min(power_set, limit)
-            free = grid_max - base - cabin - pump - cooling
+            free = grid_max - base - cabin - pump - cooling_set
             heater = max(min(heater, (1.0 - MIN_CHARGE_SHARE) * free), 0.0)
             room = max(free - heater, MIN_CHARGE_SHARE * grid_max)
             power = min(power, 2.0 * room / (1.0 + sqrt(1.0 + 4.0 * r * room)))
             dwell = e / power
             loss = r * power * power
-            flow = loss - car.cooling_cop * cooling - (heat - pump)
-            flow += stop.heat_loss_kw_per_k * (stop.ambient_c - mid)
-            if heater > 0.0:
-                room = (cap - start) * car.capacity / dwell - flow
-                heater = max(min(heater, room / car.heater_eff), 0.0)
-            flow += car.heater_eff * heater
+            flow = loss - (heat - pump) + stop.heat_loss_kw_per_k * (stop.ambient_c - mid)
+            cooling = cooling_set
+            if heater > 0.0 or cooling > 0.0:
+                rate = car.capacity / dwell
+                heater = max(min(heater, ((cap - start) * rate - flow) / car.heater_eff), 0.0)
+                spare = flow + car.heater_eff * heater + (start - car.cooling_from) * rate
+                cooling = max(min(cooling, spare / car.cooling_cop), 0.0)
+            flow += car.heater_eff * heater - car.cooling_cop * cooling
             grid = power + loss + base + heater + cooling + pump + cabin
             row = (
                 dwell, power, grid * dwell, loss * dwell, heater, cooling, pump, heat, cabin, limit,
@@ -420,7 +432,7 @@ class Simulation:
             [
                 max(walk.short, float(arrive[:, 0].max()) - instance.energy_max_kwh),
                 max(peak - instance.temperature_max_c, instance.temperature_min_c - low),
-                float(table[:, 8].max()),
+                float(table[:, 9].max()),
                 walk.excess_h,
             ]
         )
@@ -433,7 +445,7 @@ class Simulation:
             loss_kw=table[:, 2],
             brake_kw=table[:, 3],
             heater_kw=table[:, 4],
-            cooling_kw=np.minimum(controls.cooling_kw, self._car.cooling_kw),
+            cooling_kw=table[:, 8],
             heat_pump_kw=table[:, 5],
             pump_heat_kw=table[:, 6],
             cabin_heater_kw=table[:, 7],

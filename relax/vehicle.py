@@ -151,6 +151,9 @@ class Vehicle:
         Largest electrical power of battery cooling (HVAC) [kW].
     cooling_cop : float
         Heat removed per electrical power.
+    cooling_from_c : float
+        Battery temperature below which the battery is not cooled: cooling never
+        takes a step or a cell to an end below it [degrees C].
     heat_pump_kw : float
         Largest compressor power [kW]; 0: no heat pump.
     heat_pump_cop : Table1
@@ -174,6 +177,7 @@ class Vehicle:
     heater_cabin_efficiency: float
     cooling_kw: float
     cooling_cop: float
+    cooling_from_c: float
     heat_pump_kw: float
     heat_pump_cop: Table1
     heat_pump_droop_per_kw: float

@@ -220,6 +220,7 @@ def make_vehicle(
         heater_cabin_efficiency=spec.heater_cabin_efficiency,
         cooling_kw=spec.cooling_kw,
         cooling_cop=spec.cooling_cop,
+        cooling_from_c=spec.cooling_from_c,
         heat_pump_kw=spec.heat_pump_kw,
         heat_pump_cop=cop,
         heat_pump_droop_per_kw=spec.heat_pump_droop_per_kw,

@@ -156,6 +156,7 @@ def small_trip(**changes: Any) -> Trip:
         heater_cabin_efficiency=CAR["heater_cabin_efficiency"],
         cooling_kw=CAR["cooling_kw"],
         cooling_cop=CAR["cooling_cop"],
+        cooling_from_c=25.0,
         heat_pump_kw=CAR["heat_pump_kw"],
         heat_pump_cop=_table("heat_pump_cop"),
         heat_pump_droop_per_kw=CAR["heat_pump_droop_per_kw"],
