@@ -1,0 +1,102 @@
+"""Owns the bound of a fixed subset: box, relaxation, solve, certificate, in one call.
+
+The value an enumerator works with: what is proved about a subset, and where to
+start a refinement. Knows nothing of rows, cones and of other subsets.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+
+from relax.box import Box
+from relax.certify import Infeasible, LowerBound, certify_infeasible, certify_lower_bound
+from relax.instance import Instance
+from relax.reach import make_box
+from relax.relaxation import build_relaxation
+from relax.relaxed_point import RelaxedPoint, unpack_point
+from relax.solve import SolveSettings, SolveStatus, solve_cone
+
+__all__ = ["RelaxedSubset", "relax_subset"]
+
+
+@dataclass(frozen=True)
+class RelaxedSubset:
+    """What one relaxation says about a fixed subset.
+
+    Parameters
+    ----------
+    status : SolveStatus
+        How the solver ended (INFEASIBLE also when the box alone proved it).
+    lower_bound : float or None
+        Certified lower bound of every feasible plan's cost [currency]; None if
+        nothing is proved, or if infeasible.
+    point : RelaxedPoint or None
+        Where the solver stopped, if it is usable as a start.
+    infeasible : bool
+        Proved that no control is feasible.
+    build_s, solve_s : float
+        Time for box, rows and certificate, and for the solver [s].
+    """
+
+    status: SolveStatus
+    lower_bound: float | None
+    point: RelaxedPoint | None
+    infeasible: bool
+    build_s: float
+    solve_s: float
+
+
+def relax_subset(
+    instance: Instance, box: Box | None = None, settings: SolveSettings | None = None
+) -> RelaxedSubset:
+    """Return a certified bound of a subset, or the proof that it is infeasible.
+
+    Parameters
+    ----------
+    instance : Instance
+        Subset and grid.
+    box : Box, optional
+        A valid box; ``make_box`` by default.
+    settings : SolveSettings, optional
+        Of the solver.
+
+    Returns
+    -------
+    RelaxedSubset
+        The bound holds whatever the solver did.
+
+    Examples
+    --------
+    >>> from relax import load_trip, make_instance
+    >>> trip = load_trip("paper-400km")
+    >>> relax_subset(make_instance(trip, ())).infeasible
+    True
+    >>> relax_subset(make_instance(trip, (1,))).lower_bound > 0.0
+    True
+    """
+    begin = time.perf_counter()
+    box = make_box(instance) if box is None else box
+    if box.empty:
+        seconds = time.perf_counter() - begin
+        return RelaxedSubset(SolveStatus.INFEASIBLE, None, None, True, seconds, 0.0)
+    program = build_relaxation(instance, box)
+    build_s = time.perf_counter() - begin
+    solution = solve_cone(program, settings)
+    begin = time.perf_counter()
+    bound = certify_lower_bound(program, solution.z)
+    infeasible = solution.status is SolveStatus.INFEASIBLE and isinstance(
+        certify_infeasible(program, solution.z), Infeasible
+    )
+    usable = solution.status in (SolveStatus.SOLVED, SolveStatus.INACCURATE)
+    point = unpack_point(program, solution.x) if usable and np.isfinite(solution.x).all() else None
+    return RelaxedSubset(
+        status=solution.status,
+        lower_bound=bound.value if isinstance(bound, LowerBound) and not infeasible else None,
+        point=point,
+        infeasible=infeasible,
+        build_s=build_s + time.perf_counter() - begin,
+        solve_s=solution.solve_s,
+    )

@@ -1,0 +1,132 @@
+"""Owns the box: an interval for every quantity of a fixed subset's trajectory.
+
+A value: ``reach`` derives and shrinks boxes, the relaxation is built on one.
+Knows nothing of dynamics, programs and solvers.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from relax.intervals import EMPTY_MARGIN, Interval
+
+__all__ = ["Box"]
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Box:
+    """Intervals of a fixed subset's quantities; n steps, S stops, K cells.
+
+    Parameters
+    ----------
+    energy : Interval, shape (n + 1,)
+        Internal energy on arrival at every node [kWh].
+    temperature : Interval, shape (n + 1,)
+        Battery temperature on arrival at every node [degrees C].
+    power : Interval, shape (n,)
+        Internal battery power of every step, > 0 discharging [kW].
+    charge : Interval, shape (S,)
+        Internal energy W charged at every stop [kWh].
+    arrive, leave : Interval, shape (S,)
+        Internal energy after the detour in and after the detour out [kWh].
+    stop_temperature : Interval, shape (S, K + 1)
+        Battery temperature at the cell borders [degrees C].
+    dwell : Interval, shape (S, K)
+        Dwell of every cell [h].
+    step_stop : ndarray of int, shape (n,)
+        The stop right before each step, -1 if there is none.
+    """
+
+    energy: Interval
+    temperature: Interval
+    power: Interval
+    charge: Interval
+    arrive: Interval
+    leave: Interval
+    stop_temperature: Interval
+    dwell: Interval
+    step_stop: npt.NDArray[np.int64]
+
+    def _start(self, node: Array, stop: Array) -> Array:
+        out = node[:-1].copy()
+        after = self.step_stop >= 0
+        out[after] = stop[self.step_stop[after]]
+        return out
+
+    @cached_property
+    def start_energy(self) -> Interval:
+        """Energy at the start of every step, after a stop there, shape (n,) [kWh]."""
+        return Interval(
+            self._start(self.energy.lo, self.leave.lo), self._start(self.energy.hi, self.leave.hi)
+        )
+
+    @cached_property
+    def start_temperature(self) -> Interval:
+        """Temperature at the start of every step, shape (n,) [degrees C]."""
+        stop = self.stop_temperature
+        return Interval(
+            self._start(self.temperature.lo, stop.lo[:, -1]),
+            self._start(self.temperature.hi, stop.hi[:, -1]),
+        )
+
+    @cached_property
+    def middle_energy(self) -> Interval:
+        """Midpoint energy of every step, shape (n,) [kWh]."""
+        start = self.start_energy
+        return Interval(
+            0.5 * (start.lo + self.energy.lo[1:]), 0.5 * (start.hi + self.energy.hi[1:])
+        )
+
+    @cached_property
+    def middle_temperature(self) -> Interval:
+        """Midpoint temperature of every step, shape (n,) [degrees C]."""
+        start = self.start_temperature
+        return Interval(
+            0.5 * (start.lo + self.temperature.lo[1:]), 0.5 * (start.hi + self.temperature.hi[1:])
+        )
+
+    @cached_property
+    def cell_temperature(self) -> Interval:
+        """Midpoint temperature of every cell, shape (S, K) [degrees C]."""
+        lo, hi = self.stop_temperature.lo, self.stop_temperature.hi
+        return Interval(0.5 * (lo[:, 1:] + lo[:, :-1]), 0.5 * (hi[:, 1:] + hi[:, :-1]))
+
+    def cell_energy(self, detour_out_kwh: Array) -> Interval:
+        """Midpoint energy E_a + (j + 1/2) W / K of every cell, shape (S, K) [kWh].
+
+        Parameters
+        ----------
+        detour_out_kwh : ndarray, shape (S,)
+            Energy lost after charging: ties the last cell to ``leave``.
+        """
+        cells = self.dwell.lo.shape[1]
+        c = (np.arange(cells) + 0.5) / cells
+        full = Interval(self.leave.lo + detour_out_kwh, self.leave.hi + detour_out_kwh)
+        lo = self.arrive.lo[:, None] + c * self.charge.lo[:, None]
+        hi = self.arrive.hi[:, None] + c * self.charge.hi[:, None]
+        return (
+            Interval(lo, hi)
+            .meet(
+                full.lo[:, None] - (1.0 - c) * self.charge.hi[:, None],
+                full.hi[:, None] - (1.0 - c) * self.charge.lo[:, None],
+            )
+            .outward()
+        )
+
+    @cached_property
+    def empty(self) -> str | None:
+        """Name of a quantity whose interval is empty: proof that nothing is feasible; or None."""
+        for name in (
+            "energy", "temperature", "power", "charge", "arrive", "leave",
+            "stop_temperature", "dwell",
+        ):  # fmt: skip
+            interval: Interval = getattr(self, name)
+            if np.any(interval.lo > interval.hi + EMPTY_MARGIN):
+                return name
+        return None

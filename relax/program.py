@@ -1,0 +1,335 @@
+"""Owns the cone program as data: named variables, named rows, cones, and a finite box.
+
+``min q'x + constant  subject to  A x + s = b,  s in {0}^m0 x R+^m1 x SOC x ...,  l <= x <= u``
+
+``Assembly`` collects rows as index arrays and turns them into one CSC matrix in
+a single conversion. Columns carry a scale (x is dimensionless, ``x * scale`` is
+physical) and rows are scaled to O(1). Knows nothing of cars and of solvers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import scipy.sparse as sp
+
+__all__ = ["Assembly", "ConeProgram", "Term", "make_cone_program"]
+
+Array = npt.NDArray[np.float64]
+Index = npt.NDArray[np.int64]
+Term = tuple[npt.ArrayLike, npt.ArrayLike]
+"""Columns and coefficients of one term, broadcast over the rows; column -1: no such variable."""
+
+
+def _spread(values: npt.ArrayLike, shape: tuple[int, ...], kind: Any) -> npt.NDArray[Any]:
+    """Broadcast to a shape and flatten; quicker than ``np.broadcast_to`` on small arrays."""
+    array: npt.NDArray[Any] = np.asarray(values, dtype=kind)
+    if array.shape == shape:
+        return array.ravel()
+    out: npt.NDArray[Any] = np.empty(shape, dtype=kind)
+    out[...] = array
+    return out.ravel()
+
+
+@dataclass(frozen=True)
+class ConeProgram:
+    """A conic program with named variables and rows.
+
+    Parameters
+    ----------
+    q : ndarray, shape (n,)
+        Linear cost of the scaled variables.
+    constant : float
+        Added to every objective value.
+    A : csc_array, shape (m, n)
+        Rows in the order zero cone, nonnegative cone, second-order cones.
+    b : ndarray, shape (m,)
+        Right-hand side.
+    n_zero, n_nonneg : int
+        Sizes of the first two blocks.
+    soc_sizes : tuple of int
+        Sizes of the second-order cones, in the order of the rows.
+    l, u : ndarray, shape (n,)
+        Finite box that every feasible point of interest lies in (scaled).
+    scale : ndarray, shape (n,)
+        Physical value of one unit of every variable.
+    row_scale : ndarray, shape (m,)
+        Factor that every row was multiplied by.
+    variables : mapping of str to ndarray of int
+        Columns by name, in the shape of the quantity; -1 where it does not exist.
+    rows : mapping of str to ndarray of int
+        Rows by name.
+    """
+
+    q: Array
+    constant: float
+    A: sp.csc_array
+    b: Array
+    n_zero: int
+    n_nonneg: int
+    soc_sizes: tuple[int, ...]
+    l: Array  # noqa: E741
+    u: Array
+    scale: Array
+    row_scale: Array
+    variables: Mapping[str, Index] = field(default_factory=lambda: MappingProxyType({}))
+    rows: Mapping[str, Index] = field(default_factory=lambda: MappingProxyType({}))
+
+    def value(self, name: str, x: Array) -> Array:
+        """Return the physical values of a named variable; absent entries are 0.
+
+        Parameters
+        ----------
+        name : str
+            Name of the variable.
+        x : ndarray, shape (n,)
+            Scaled point.
+        """
+        index = self.variables[name]
+        return np.where(index >= 0, (x * self.scale)[index], 0.0)
+
+    def slack(self, x: Array) -> Array:
+        """Return by how much every row or cone is satisfied (scaled, >= 0 is feasible).
+
+        Zero rows give -|residual|; a cone gives its margin s_0 - |s_1..|, in
+        its first row, and 0 in its others.
+        """
+        s: Array = self.b - self.A @ x
+        out = s.copy()
+        out[: self.n_zero] = -np.abs(s[: self.n_zero])
+        first = self.n_zero + self.n_nonneg
+        if self.soc_sizes:
+            sizes = np.array(self.soc_sizes)
+            start = np.concatenate([[0], np.cumsum(sizes)[:-1]])
+            tail = s[first:] ** 2
+            head = s[first:][start]
+            norm = np.sqrt(np.maximum(np.add.reduceat(tail, start) - head**2, 0.0))
+            out[first:] = 0.0
+            out[first + start] = head - norm
+        return out
+
+
+class Assembly:
+    """Collects variables, rows and cones, then builds the program once.
+
+    Every ``rhs`` fixes the shape of its rows; terms broadcast to it. All numbers
+    are physical: scaling happens in ``build``.
+
+    Examples
+    --------
+    >>> rows = Assembly()
+    >>> x = rows.variable("x", [True, True], scale=2.0, lo=0.0, hi=4.0)
+    >>> rows.less("sum", 3.0, (x[0], 1.0), (x[1], 1.0))
+    >>> program = rows.build({"x": -1.0})
+    >>> program.A.shape, program.q.tolist(), program.u.tolist()
+    ((1, 2), [-2.0, -2.0], [2.0, 2.0])
+    """
+
+    def __init__(self) -> None:
+        self._n = 0
+        self._index: dict[str, Index] = {}
+        self._scale: list[Array] = []
+        self._lo: list[Array] = []
+        self._hi: list[Array] = []
+        # one list per block: zero, nonnegative, second-order
+        self._row: tuple[list[Index], ...] = ([], [], [])
+        self._col: tuple[list[Index], ...] = ([], [], [])
+        self._val: tuple[list[Array], ...] = ([], [], [])
+        self._rhs: tuple[list[Array], ...] = ([], [], [])
+        self._count = [0, 0, 0]
+        self._names: list[tuple[str, int, int, int]] = []
+        self._soc: list[tuple[int, int]] = []
+
+    def variable(
+        self,
+        name: str,
+        exists: npt.ArrayLike,
+        *,
+        scale: float,
+        lo: npt.ArrayLike,
+        hi: npt.ArrayLike,
+    ) -> Index:
+        """Add a variable and return its columns, -1 where it does not exist.
+
+        Parameters
+        ----------
+        name : str
+            Unique name.
+        exists : array_like of bool
+            Shape of the quantity.
+        scale : float
+            Physical size of one unit.
+        lo, hi : array_like
+            Physical box, broadcast to the shape.
+        """
+        mask = np.asarray(exists, dtype=bool)
+        count = int(mask.sum())
+        index = np.full(mask.shape, -1, dtype=np.int64)
+        index[mask] = np.arange(self._n, self._n + count)
+        self._n += count
+        self._index[name] = index
+        self._scale.append(np.full(count, scale))
+        self._lo.append(np.broadcast_to(np.asarray(lo, dtype=np.float64), mask.shape)[mask])
+        self._hi.append(np.broadcast_to(np.asarray(hi, dtype=np.float64), mask.shape)[mask])
+        return index
+
+    def alias(self, name: str, columns: Index) -> None:
+        """Give existing columns a further name, to be read back from a point."""
+        self._index[name] = columns
+
+    def _terms(self, block: int, row: Index, shape: tuple[int, ...], terms: Sequence[Term]) -> None:
+        for columns, values in terms:
+            self._row[block].append(row)
+            self._col[block].append(_spread(columns, shape, np.int64))
+            self._val[block].append(_spread(values, shape, np.float64))
+
+    def _linear(self, block: int, name: str, rhs: npt.ArrayLike, terms: Sequence[Term]) -> None:
+        b = np.asarray(rhs, dtype=np.float64)
+        if b.size == 0:
+            return
+        begin = self._count[block]
+        self._count[block] += b.size
+        self._names.append((name, block, begin, b.size))
+        self._rhs[block].append(b.ravel())
+        self._terms(block, np.arange(begin, begin + b.size), b.shape, terms)
+
+    def equal(self, name: str, rhs: npt.ArrayLike, *terms: Term) -> None:
+        """Add rows sum of terms = rhs."""
+        self._linear(0, name, rhs, terms)
+
+    def less(self, name: str, rhs: npt.ArrayLike, *terms: Term) -> None:
+        """Add rows sum of terms <= rhs."""
+        self._linear(1, name, rhs, terms)
+
+    def cone(self, name: str, *components: tuple[npt.ArrayLike, Sequence[Term]]) -> None:
+        """Add second-order cones s_0 >= |(s_1, ...)|.
+
+        Parameters
+        ----------
+        name : str
+            Unique name.
+        *components : pair of (constant, terms)
+            Affine expressions s_0, s_1, ..., each of shape (k,) for k cones.
+        """
+        size = len(components)
+        k = np.asarray(components[0][0]).size
+        if k == 0:
+            return
+        begin = self._count[2]
+        self._count[2] += size * k
+        self._names.append((name, 2, begin, size * k))
+        self._soc.append((size, k))
+        constants = np.empty((k, size))
+        for i, (constant, terms) in enumerate(components):
+            constants[:, i] = constant
+            row = begin + i + size * np.arange(k)
+            self._terms(2, row, (k,), [(c, -np.asarray(v, dtype=np.float64)) for c, v in terms])
+        self._rhs[2].append(constants.ravel())
+
+    def build(self, cost: Mapping[str, npt.ArrayLike], constant: float = 0.0) -> ConeProgram:
+        """Return the program with cost sum of ``cost[name] * name`` + constant.
+
+        Parameters
+        ----------
+        cost : mapping of str to array_like
+            Physical cost coefficients, broadcast to the variable's shape.
+        constant : float
+            Constant of the objective.
+        """
+        n, counts = self._n, self._count
+        offset = np.concatenate([[0], np.cumsum(counts)])
+        m = int(offset[-1])
+        scale = np.concatenate(self._scale)
+        row = np.concatenate([r + offset[k] for k in range(3) for r in self._row[k]])
+        col = np.concatenate([c for k in range(3) for c in self._col[k]])
+        val = np.concatenate([v for k in range(3) for v in self._val[k]])
+        b = np.concatenate([r for k in range(3) for r in self._rhs[k]])
+        keep = (col >= 0) & (val != 0.0)
+        row, col, val = row[keep], col[keep], val[keep]
+        val = val * scale[col]
+        size = np.zeros(m)
+        np.maximum.at(size, row, np.abs(val))
+        sizes = tuple(size for size, k in self._soc for _ in range(k))
+        if sizes:  # one factor per cone
+            blocks = np.array(sizes)
+            start = np.concatenate([[0], np.cumsum(blocks)[:-1]])
+            tail = np.maximum(size[offset[2] :], np.abs(b[offset[2] :]))
+            size[offset[2] :] = np.repeat(np.maximum.reduceat(tail, start), blocks)
+        row_scale = 1.0 / np.where(size > 0.0, size, 1.0)
+        A = sp.csc_array(
+            sp.coo_array((val * row_scale[row], (row, col)), shape=(m, n), dtype=np.float64)
+        )
+        q = np.zeros(n)
+        for name, coefficient in cost.items():
+            index = self._index[name]
+            value = np.broadcast_to(np.asarray(coefficient, dtype=np.float64), index.shape)
+            np.add.at(q, index[index >= 0], value[index >= 0])
+        return ConeProgram(
+            q=q * scale,
+            constant=constant,
+            A=A,
+            b=b * row_scale,
+            n_zero=counts[0],
+            n_nonneg=counts[1],
+            soc_sizes=sizes,
+            l=np.concatenate(self._lo) / scale,
+            u=np.concatenate(self._hi) / scale,
+            scale=scale,
+            row_scale=row_scale,
+            variables=MappingProxyType(dict(self._index)),
+            rows=MappingProxyType(
+                {
+                    name: np.arange(offset[block] + begin, offset[block] + begin + k)
+                    for name, block, begin, k in self._names
+                }
+            ),
+        )
+
+
+def make_cone_program(
+    q: npt.ArrayLike,
+    A: npt.ArrayLike,
+    b: npt.ArrayLike,
+    *,
+    n_zero: int = 0,
+    n_nonneg: int = 0,
+    soc_sizes: Sequence[int] = (),
+    l: npt.ArrayLike,  # noqa: E741
+    u: npt.ArrayLike,
+    constant: float = 0.0,
+) -> ConeProgram:
+    """Return a program from dense data, unscaled and unnamed: for tests and examples.
+
+    Raises
+    ------
+    ValueError
+        The blocks do not add up to the rows.
+
+    Examples
+    --------
+    >>> make_cone_program([1.0], [[-1.0]], [-2.0], n_nonneg=1, l=[0.0], u=[9.0]).b.tolist()
+    [-2.0]
+    """
+    matrix = sp.csc_array(np.asarray(A, dtype=np.float64))
+    rhs = np.asarray(b, dtype=np.float64)
+    if n_zero + n_nonneg + sum(soc_sizes) != rhs.size or matrix.shape[0] != rhs.size:
+        raise ValueError("the cones must cover every row once")
+    cost = np.asarray(q, dtype=np.float64)
+    return ConeProgram(
+        q=cost,
+        constant=constant,
+        A=matrix,
+        b=rhs,
+        n_zero=n_zero,
+        n_nonneg=n_nonneg,
+        soc_sizes=tuple(soc_sizes),
+        l=np.asarray(l, dtype=np.float64),
+        u=np.asarray(u, dtype=np.float64),
+        scale=np.ones(cost.size),
+        row_scale=np.ones(rhs.size),
+    )

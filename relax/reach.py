@@ -1,0 +1,335 @@
+"""Owns reachability: which intervals follow from dynamics, limits and energy balance.
+
+Every feasible trajectory of the transcription lies in the box, whatever its
+controls and its cost. Vectorised over steps; a Python loop runs over stops
+alone. Knows nothing of programs and solvers.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from relax.box import Box
+from relax.instance import MIN_CHARGE_KWH, Instance
+from relax.intervals import Interval, range1, range2
+from relax.physics import battery_power, heat_pump_power
+
+__all__ = ["make_box", "propagate", "pump_limits"]
+
+Array = npt.NDArray[np.float64]
+
+ROUNDS = 3
+"""Sweeps of ``make_box``; a fourth changes the bound by less than 0.01 % on the paper trip."""
+
+
+def pump_limits(instance: Instance, demand: Array, cop: Interval) -> tuple[Array, Array, Array]:
+    """Return the largest compressor power, the largest heat and the largest heat drawn.
+
+    Parameters
+    ----------
+    instance : Instance
+        Its vehicle's heat pump.
+    demand : ndarray
+        Cabin heating demand q, which the heat may not exceed [kW].
+    cop : Interval
+        Coefficient of performance at vanishing power.
+
+    Returns
+    -------
+    tuple of ndarray
+        hp_hi, h_hi and (h - hp)_hi, all >= 0 [kW].
+    """
+    vehicle = instance.vehicle
+    droop, most = vehicle.heat_pump_droop_per_kw, vehicle.heat_pump_kw
+    best = most if droop * most <= 0.5 else 0.5 / droop
+    heat = np.minimum(demand, np.maximum(cop.hi, 0.0) * best * (1.0 - droop * best))
+    power = np.full(demand.shape, most)
+    if droop * most <= 0.5 and np.all(cop.lo > 0.0):  # h grows with hp: h <= q bounds hp
+        power = np.minimum(power, heat_pump_power(demand, cop.lo, droop))
+    drawn = heat * np.maximum(0.0, 1.0 - 1.0 / np.maximum(cop.hi, 1.0))
+    return power, heat, drawn
+
+
+def _least(start: float, cap: Array, used: Array) -> Array:
+    """x_0 = start, x_{k+1} = min(cap_k, x_k - used_k), without a loop."""
+    total = np.concatenate([[0.0], np.cumsum(used)])
+    return np.asarray(np.minimum.accumulate(np.concatenate([[start], cap + total[1:]])) - total)
+
+
+def _warmest(start: float, cap: Array, factor: Array, gain: Array) -> Array:
+    """x_0 = start, x_{k+1} = min(cap_k, factor_k x_k + gain_k), without a loop."""
+    scale = np.concatenate([[1.0], np.cumprod(factor)])
+    if np.any(factor <= 0.0) or scale[-1] < 1e-6:  # long steps or routes: only the limits
+        return np.concatenate([[start], cap])
+    total = np.concatenate([[0.0], np.cumsum(gain / scale[1:])])
+    lifted = np.concatenate([[start], cap / scale[1:] - total[1:]])
+    return np.asarray((np.minimum.accumulate(lifted) + total) * scale)
+
+
+def _drive_flow(instance: Instance, box: Box) -> tuple[Interval, Interval]:
+    """Intervals of battery power and pack heat from the consumers and the limits."""
+    drive, vehicle, pack = instance.drive, instance.vehicle, instance.vehicle.pack
+    temp, energy = box.middle_temperature, box.middle_energy
+    resistance, square = range1(pack.resistance_ohm, temp), range1(pack.voltage_squared, energy)
+    r = Interval(np.maximum(resistance.lo, 0.0) / square.hi, resistance.hi / square.lo)
+    cop = range1(vehicle.heat_pump_cop, temp)
+    q, eta_c, ripple = drive.cabin_heat_kw, vehicle.heater_cabin_efficiency, drive.ripple_kw2
+    pump_hi, heat_hi, drawn_hi = pump_limits(instance, q, cop)
+    saved = heat_hi * np.minimum(0.0, 1.0 / np.maximum(cop.hi, 1e-9) - 1.0 / eta_c)
+    load_lo = drive.base_kw + q / eta_c + saved
+    load_hi = drive.base_kw + vehicle.heater_kw + vehicle.cooling_kw + pump_hi
+    out_hi = range2(pack.discharge_limit_kw, energy, temp).hi
+    in_range = range2(pack.charge_limit_kw, energy, temp)
+    lo = _power(load_lo, r.lo, ripple)
+    hi = np.where(2.0 * r.hi * out_hi < 1.0, _power(load_hi, r.hi, ripple), out_hi)
+    # when the charge limit refuses power, the brake takes it and P is minus the limit
+    hi = np.where(lo < -in_range.lo, np.maximum(hi, -in_range.lo), hi)
+    start = box.start_energy
+    power = (
+        box.power.meet(np.maximum(lo, -in_range.hi), np.minimum(hi, out_hi))
+        .meet(
+            (start.lo - box.energy.hi[1:]) / drive.duration_h,
+            (start.hi - box.energy.lo[1:]) / drive.duration_h,
+        )
+        .outward()
+    )
+    square_hi = np.maximum(power.lo**2, power.hi**2) + ripple
+    square_lo = np.maximum(np.maximum(power.lo, -power.hi), 0.0) ** 2 + ripple
+    heater_hi = np.clip(vehicle.heater_kw - (q - heat_hi) / eta_c, 0.0, None)
+    # with cop * (1 - droop hp) < 1 the compressor's own heat warms the pack
+    least_gain = np.minimum(0.0, cop.lo * (1.0 - vehicle.heat_pump_droop_per_kw * pump_hi) - 1.0)
+    heat = Interval(
+        r.lo * square_lo + drive.drivetrain_heat_kw - vehicle.cooling_cop * vehicle.cooling_kw
+        - drawn_hi,
+        r.hi * square_hi + drive.drivetrain_heat_kw
+        + vehicle.heater_battery_efficiency * heater_hi - least_gain * pump_hi,
+    )  # fmt: skip
+    return power, heat
+
+
+def _power(load: Array, r: Array, ripple: Array) -> Array:
+    """``battery_power``, at most the power 1 / (2r) of the largest load the pack can serve."""
+    largest = 0.25 / np.maximum(r, 1e-12) - r * ripple
+    return battery_power(np.minimum(load, largest - 1e-9 * (1.0 + largest)), r, ripple)
+
+
+def _stop_dwell(instance: Instance, box: Box) -> tuple[Interval, Array]:
+    """Intervals of the cells' dwell and the largest internal power per cell, shape (S, K)."""
+    stops, pack = instance.stops, instance.vehicle.pack
+    shape = box.dwell.lo.shape
+    energy = box.cell_energy(np.array([s.detour_out_kwh for s in stops]))
+    flat = Interval(energy.lo.ravel(), energy.hi.ravel())
+    temp = Interval(box.cell_temperature.lo.ravel(), box.cell_temperature.hi.ravel())
+    power = range2(pack.charge_limit_kw, flat, temp).hi.reshape(shape)
+    for i, stop in enumerate(stops):
+        grid = range1(stop.grid_limit_kw, Interval(energy.lo[i], energy.hi[i])).hi
+        power[i] = np.minimum(power[i], grid - min(stop.base_kw, 0.0))
+    power = np.maximum(power, 1e-6)  # a cell that cannot charge: its dwell below is beyond limits
+    lo = np.maximum(box.charge.lo[:, None] / shape[1] / power, box.dwell.lo)
+    longest = np.array([s.max_dwell_h for s in stops])
+    others = lo.sum(axis=1, keepdims=True) - lo
+    return Interval(lo, np.minimum(box.dwell.hi, longest[:, None] - others)), power
+
+
+def _energies(instance: Instance, box: Box, power: Interval, charge_hi: Array) -> dict[str, Any]:
+    """Forward and backward energy intervals along the chain of segments and stops."""
+    drive, stops = instance.drive, instance.stops
+    borders = [0, *(s.node for s in stops), drive.n_steps]
+    energy = Interval(box.energy.lo.copy(), box.energy.hi.copy())
+    arrive = Interval(box.arrive.lo.copy(), box.arrive.hi.copy())
+    leave = Interval(box.leave.lo.copy(), box.leave.hi.copy())
+    charge = Interval(box.charge.lo.copy(), np.minimum(box.charge.hi, charge_hi))
+    used_lo, used_hi = drive.duration_h * power.lo, drive.duration_h * power.hi
+    # segment i: its start (after stop i - 1), then the arrivals at nodes a + 1 .. b
+    segments: list[Interval] = []
+    for i in range(len(stops) + 1):
+        a, b = borders[i], borders[i + 1]
+        first = Interval(energy.lo[:1], energy.hi[:1])
+        if i:
+            first = Interval(leave.lo[i - 1 : i], leave.hi[i - 1 : i])
+        lo = np.concatenate([first.lo, energy.lo[a + 1 : b + 1]])
+        hi = np.concatenate([first.hi, energy.hi[a + 1 : b + 1]])
+        lo = -_least(-lo[0], -lo[1:], -used_hi[a:b])
+        hi = _least(hi[0], hi[1:], used_lo[a:b])
+        segments.append(Interval(lo, hi))
+        if i < len(stops):
+            stop = stops[i]
+            arrive.lo[i] = max(arrive.lo[i], lo[-1] - stop.detour_in_kwh)
+            arrive.hi[i] = min(arrive.hi[i], hi[-1] - stop.detour_in_kwh)
+            charge.hi[i] = min(charge.hi[i], instance.energy_max_kwh - arrive.lo[i])
+            out = stop.detour_out_kwh
+            leave.lo[i] = max(leave.lo[i], arrive.lo[i] + charge.lo[i] - out)
+            leave.hi[i] = min(leave.hi[i], arrive.hi[i] + charge.hi[i] - out)
+    for i in range(len(stops), -1, -1):
+        a, b = borders[i], borders[i + 1]
+        lo, hi = segments[i].lo, segments[i].hi
+        lo = -_least(-lo[-1], -lo[-2::-1], used_lo[a:b][::-1])[::-1]
+        hi = _least(hi[-1], hi[-2::-1], -used_hi[a:b][::-1])[::-1]
+        energy.lo[a + 1 : b + 1], energy.hi[a + 1 : b + 1] = lo[1:], hi[1:]
+        if i == 0:
+            energy.lo[0], energy.hi[0] = lo[0], hi[0]
+            break
+        j, stop = i - 1, stops[i - 1]
+        leave.lo[j], leave.hi[j] = max(leave.lo[j], lo[0]), min(leave.hi[j], hi[0])
+        full_lo, full_hi = leave.lo[j] + stop.detour_out_kwh, leave.hi[j] + stop.detour_out_kwh
+        charge.lo[j] = max(charge.lo[j], full_lo - arrive.hi[j])
+        charge.hi[j] = min(charge.hi[j], full_hi - arrive.lo[j])
+        arrive.lo[j] = max(arrive.lo[j], full_lo - charge.hi[j])
+        arrive.hi[j] = min(arrive.hi[j], full_hi - charge.lo[j])
+        before = segments[j]
+        before.lo[-1] = max(before.lo[-1], arrive.lo[j] + stop.detour_in_kwh)
+        before.hi[-1] = min(before.hi[-1], arrive.hi[j] + stop.detour_in_kwh)
+    return {
+        "energy": energy.outward(),
+        "arrive": arrive.outward(),
+        "leave": leave.outward(),
+        "charge": charge.outward(),
+    }
+
+
+def _temperatures(
+    instance: Instance, box: Box, heat: Interval, cell_power: Array
+) -> dict[str, Any]:
+    """Forward temperature intervals along the chain of segments and stops."""
+    drive, stops = instance.drive, instance.stops
+    borders = [0, *(s.node for s in stops), drive.n_steps]
+    node = Interval(box.temperature.lo.copy(), box.temperature.hi.copy())
+    cell = Interval(box.stop_temperature.lo.copy(), box.stop_temperature.hi.copy())
+    rate = instance.vehicle.pack.heat_capacity_kwh_per_k / drive.duration_h
+    half = 0.5 * drive.heat_loss_kw_per_k
+    factor = (rate - half) / (rate + half)
+    drift = drive.heat_loss_kw_per_k * drive.ambient_c
+    gain_lo, gain_hi = (heat.lo + drift) / (rate + half), (heat.hi + drift) / (rate + half)
+    t0, t1 = float(node.lo[0]), float(node.hi[0])
+    for i in range(len(stops) + 1):
+        a, b = borders[i], borders[i + 1]
+        if b > a:
+            part, reached = slice(a, b), slice(a + 1, b + 1)
+            node.hi[reached] = _warmest(t1, node.hi[reached], factor[part], gain_hi[part])[1:]
+            node.lo[reached] = -_warmest(-t0, -node.lo[reached], factor[part], -gain_lo[part])[1:]
+            t0, t1 = float(node.lo[b]), float(node.hi[b])
+        if i < len(stops):
+            cold, warm = _stop_drift(instance, box, i, cell_power[i])
+            ambient = stops[i].ambient_c
+            cell.lo[i, 0], cell.hi[i, 0] = max(cell.lo[i, 0], t0), min(cell.hi[i, 0], t1)
+            cell.lo[i, 1:] = np.maximum(cell.lo[i, 1:], min(t0, ambient) - cold)
+            cell.hi[i, 1:] = np.minimum(cell.hi[i, 1:], max(t1, ambient) + warm)
+            t0, t1 = float(cell.lo[i, -1]), float(cell.hi[i, -1])
+    return {"temperature": node.outward(), "stop_temperature": cell.outward()}
+
+
+def _stop_drift(instance: Instance, box: Box, i: int, cell_power: Array) -> tuple[float, float]:
+    """Largest fall below and rise above ambient and arrival temperature within a stop [K]."""
+    stop, vehicle = instance.stops[i], instance.vehicle
+    pack, capacity = vehicle.pack, vehicle.pack.heat_capacity_kwh_per_k
+    longest = float(box.dwell.hi[i].max()) if instance.cells == 1 else stop.max_dwell_h
+    if 0.5 * stop.heat_loss_kw_per_k * longest >= capacity:  # then a cell may overshoot ambient
+        return np.inf, np.inf
+    temp = Interval(box.cell_temperature.lo[i], box.cell_temperature.hi[i])
+    energy = Interval(
+        np.array([box.arrive.lo[i]]), np.array([box.leave.hi[i] + stop.detour_out_kwh])
+    )
+    cop = range1(vehicle.heat_pump_cop, temp)
+    q = np.full(temp.lo.shape, stop.cabin_heat_kw)
+    pump, _, drawn = pump_limits(instance, q, cop)
+    gain = np.minimum(0.0, cop.lo * (1.0 - vehicle.heat_pump_droop_per_kw * pump) - 1.0)
+    r = range1(pack.resistance_ohm, temp).hi / range1(pack.voltage_squared, energy).lo
+    loss = float((r * cell_power).sum()) * float(box.charge.hi[i]) / instance.cells
+    fall = (vehicle.cooling_cop * vehicle.cooling_kw + float(drawn.max())) * longest
+    warm = vehicle.heater_battery_efficiency * vehicle.heater_kw - float((gain * pump).min())
+    return fall / capacity, (loss + max(warm, 0.0) * longest) / capacity
+
+
+def propagate(instance: Instance, box: Box) -> Box:
+    """Return the box after one forward and backward sweep: never larger, still valid.
+
+    Parameters
+    ----------
+    instance : Instance
+        Subset and grid.
+    box : Box
+        A valid box.
+
+    Returns
+    -------
+    Box
+        Intersected with what the dynamics, limits and maps allow; ``empty`` if
+        nothing is feasible.
+
+    Examples
+    --------
+    >>> from relax import load_trip, make_instance
+    >>> instance = make_instance(load_trip("paper-400km"), (1,))
+    >>> box = make_box(instance)
+    >>> bool((propagate(instance, box).charge.hi <= box.charge.hi + 1e-6).all())
+    True
+    """
+    power, heat = _drive_flow(instance, box)
+    dwell, cell_power = _stop_dwell(instance, box)
+    longest = np.array([s.max_dwell_h for s in instance.stops])
+    charge_hi = instance.cells * longest / (1.0 / cell_power).sum(axis=1)
+    return replace(
+        box,
+        power=power,
+        dwell=dwell.outward(),
+        **_energies(instance, box, power, charge_hi),
+        **_temperatures(instance, box, heat, cell_power),
+    )
+
+
+def make_box(instance: Instance) -> Box:
+    """Return the intervals that dynamics and limits alone imply.
+
+    Parameters
+    ----------
+    instance : Instance
+        Subset and grid.
+
+    Returns
+    -------
+    Box
+        Valid for every feasible control; ``empty`` proves that there is none.
+
+    Examples
+    --------
+    >>> from relax import load_trip, make_instance
+    >>> make_box(make_instance(load_trip("paper-400km"), ())).empty
+    'energy'
+    """
+    n, S, K = instance.drive.n_steps, len(instance.stops), instance.cells
+    e_hi, w = instance.energy_max_kwh, MIN_CHARGE_KWH
+    t_lo, t_hi = instance.temperature_min_c, instance.temperature_max_c
+    start, temp = instance.start_energy_kwh, instance.start_temperature_c
+    step_stop = np.full(n, -1, dtype=np.int64)
+    for i, stop in enumerate(instance.stops):  # of several at one node the last one counts
+        if stop.node < n:
+            step_stop[stop.node] = i
+    energy = Interval(instance.energy_min_kwh.copy(), np.full(n + 1, e_hi))
+    energy.lo[0] = max(energy.lo[0], start)
+    energy.hi[0] = min(energy.hi[0], start)
+    temperature = Interval(np.full(n + 1, t_lo), np.full(n + 1, t_hi))
+    temperature.lo[0], temperature.hi[0] = max(t_lo, temp), min(t_hi, temp)
+    least = np.array([s.arrive_min_kwh for s in instance.stops])
+    after = np.array([s.leave_min_kwh for s in instance.stops])
+    out = np.array([s.detour_out_kwh for s in instance.stops])
+    longest = np.array([s.max_dwell_h for s in instance.stops])
+    box = Box(
+        energy=energy,
+        temperature=temperature,
+        power=Interval(np.full(n, -np.inf), np.full(n, np.inf)),
+        charge=Interval(np.full(S, w), e_hi - least),
+        arrive=Interval(least, np.full(S, e_hi - w)),
+        leave=Interval(after, e_hi - out),
+        stop_temperature=Interval(np.full((S, K + 1), t_lo), np.full((S, K + 1), t_hi)),
+        dwell=Interval(np.zeros((S, K)), np.broadcast_to(longest[:, None], (S, K)).copy()),
+        step_stop=step_stop,
+    )
+    for _ in range(ROUNDS):
+        if box.empty:
+            break
+        box = propagate(instance, box)
+    return box
