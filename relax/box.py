@@ -39,6 +39,8 @@ class Box:
         Battery temperature at the cell borders [degrees C].
     dwell : Interval, shape (S, K)
         Dwell of every cell [h].
+    stay : Interval, shape (S,)
+        Dwell of every stop [h].
     step_stop : ndarray of int, shape (n,)
         The stop right before each step, -1 if there is none.
     """
@@ -51,6 +53,7 @@ class Box:
     leave: Interval
     stop_temperature: Interval
     dwell: Interval
+    stay: Interval
     step_stop: npt.NDArray[np.int64]
 
     def _start(self, node: Array, stop: Array) -> Array:
@@ -124,7 +127,7 @@ class Box:
         """Name of a quantity whose interval is empty: proof that nothing is feasible; or None."""
         for name in (
             "energy", "temperature", "power", "charge", "arrive", "leave",
-            "stop_temperature", "dwell",
+            "stop_temperature", "dwell", "stay",
         ):  # fmt: skip
             interval: Interval = getattr(self, name)
             if np.any(interval.lo > interval.hi + EMPTY_MARGIN):

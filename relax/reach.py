@@ -18,10 +18,12 @@ from relax.instance import MIN_CHARGE_KWH, Instance
 from relax.intervals import Interval, range1, range2
 from relax.physics import battery_power, heat_pump_power
 
-__all__ = ["make_box", "propagate", "pump_limits"]
+__all__ = ["COOLING_SLACK_K", "make_box", "propagate", "pump_limits"]
 
 Array = npt.NDArray[np.float64]
 
+COOLING_SLACK_K = 0.01
+"""How far below its temperature cooling may take a step: the simulation's own tolerance [K]."""
 ROUNDS = 3
 """Sweeps of ``make_box``; a fourth changes the bound by less than 0.01 % on the paper trip."""
 
@@ -60,18 +62,8 @@ def _least(start: float, cap: Array, used: Array) -> Array:
     return np.asarray(np.minimum.accumulate(np.concatenate([[start], cap + total[1:]])) - total)
 
 
-def _warmest(start: float, cap: Array, factor: Array, gain: Array) -> Array:
-    """x_0 = start, x_{k+1} = min(cap_k, factor_k x_k + gain_k), without a loop."""
-    scale = np.concatenate([[1.0], np.cumprod(factor)])
-    if np.any(factor <= 0.0) or scale[-1] < 1e-6:  # long steps or routes: only the limits
-        return np.concatenate([[start], cap])
-    total = np.concatenate([[0.0], np.cumsum(gain / scale[1:])])
-    lifted = np.concatenate([[start], cap / scale[1:] - total[1:]])
-    return np.asarray((np.minimum.accumulate(lifted) + total) * scale)
-
-
 def _drive_flow(instance: Instance, box: Box) -> tuple[Interval, Interval]:
-    """Intervals of battery power and pack heat from the consumers and the limits."""
+    """Intervals of battery power and of pack heat before cooling."""
     drive, vehicle, pack = instance.drive, instance.vehicle, instance.vehicle.pack
     temp, energy = box.middle_temperature, box.middle_energy
     resistance, square = range1(pack.resistance_ohm, temp), range1(pack.voltage_squared, energy)
@@ -102,9 +94,8 @@ def _drive_flow(instance: Instance, box: Box) -> tuple[Interval, Interval]:
     heater_hi = np.clip(vehicle.heater_kw - (q - heat_hi) / eta_c, 0.0, None)
     # with cop * (1 - droop hp) < 1 the compressor's own heat warms the pack
     least_gain = np.minimum(0.0, cop.lo * (1.0 - vehicle.heat_pump_droop_per_kw * pump_hi) - 1.0)
-    heat = Interval(
-        r.lo * square_lo + drive.drivetrain_heat_kw - vehicle.cooling_cop * vehicle.cooling_kw
-        - drawn_hi,
+    heat = Interval(  # cooling apart: it stops at its own temperature
+        r.lo * square_lo + drive.drivetrain_heat_kw - drawn_hi,
         r.hi * square_hi + drive.drivetrain_heat_kw
         + vehicle.heater_battery_efficiency * heater_hi - least_gain * pump_hi,
     )  # fmt: skip
@@ -130,9 +121,8 @@ def _stop_dwell(instance: Instance, box: Box) -> tuple[Interval, Array]:
         power[i] = np.minimum(power[i], grid - min(stop.base_kw, 0.0))
     power = np.maximum(power, 1e-6)  # a cell that cannot charge: its dwell below is beyond limits
     lo = np.maximum(box.charge.lo[:, None] / shape[1] / power, box.dwell.lo)
-    longest = np.array([s.max_dwell_h for s in stops])
     others = lo.sum(axis=1, keepdims=True) - lo
-    return Interval(lo, np.minimum(box.dwell.hi, longest[:, None] - others)), power
+    return Interval(lo, np.minimum(box.dwell.hi, box.stay.hi[:, None] - others)), power
 
 
 def _energies(instance: Instance, box: Box, power: Interval, charge_hi: Array) -> dict[str, Any]:
@@ -194,7 +184,7 @@ def _energies(instance: Instance, box: Box, power: Interval, charge_hi: Array) -
 def _temperatures(
     instance: Instance, box: Box, heat: Interval, cell_power: Array
 ) -> dict[str, Any]:
-    """Forward temperature intervals along the chain of segments and stops."""
+    """Forward and backward temperature intervals along the chain of segments and stops."""
     drive, stops = instance.drive, instance.stops
     borders = [0, *(s.node for s in stops), drive.n_steps]
     node = Interval(box.temperature.lo.copy(), box.temperature.hi.copy())
@@ -203,30 +193,106 @@ def _temperatures(
     half = 0.5 * drive.heat_loss_kw_per_k
     factor = (rate - half) / (rate + half)
     drift = drive.heat_loss_kw_per_k * drive.ambient_c
-    gain_lo, gain_hi = (heat.lo + drift) / (rate + half), (heat.hi + drift) / (rate + half)
+    vehicle = instance.vehicle
+    cooled = vehicle.cooling_cop * vehicle.cooling_kw / (rate + half)
+    floor = vehicle.cooling_from_c - COOLING_SLACK_K if vehicle.cooling_kw > 0.0 else np.inf
+    steps = _Steps(
+        factor.tolist(),
+        ((heat.lo + drift) / (rate + half)).tolist(),
+        ((heat.hi + drift) / (rate + half)).tolist(),
+        cooled.tolist(),
+        floor,
+    )
     t0, t1 = float(node.lo[0]), float(node.hi[0])
+    drifts = [_stop_drift(instance, box, i, cell_power[i]) for i in range(len(stops))]
     for i in range(len(stops) + 1):
         a, b = borders[i], borders[i + 1]
         if b > a:
-            part, reached = slice(a, b), slice(a + 1, b + 1)
-            node.hi[reached] = _warmest(t1, node.hi[reached], factor[part], gain_hi[part])[1:]
-            node.lo[reached] = -_warmest(-t0, -node.lo[reached], factor[part], -gain_lo[part])[1:]
-            t0, t1 = float(node.lo[b]), float(node.hi[b])
+            t0, t1 = steps.forward(node, a, b, t0, t1)
         if i < len(stops):
-            cold, warm = _stop_drift(instance, box, i, cell_power[i])
+            cold, warm = drifts[i]
             ambient = stops[i].ambient_c
             cell.lo[i, 0], cell.hi[i, 0] = max(cell.lo[i, 0], t0), min(cell.hi[i, 0], t1)
-            cell.lo[i, 1:] = np.maximum(cell.lo[i, 1:], min(t0, ambient) - cold)
+            cell.lo[i, 1:] = np.maximum(cell.lo[i, 1:], min(t0, ambient, floor) - cold)
             cell.hi[i, 1:] = np.minimum(cell.hi[i, 1:], max(t1, ambient) + warm)
             t0, t1 = float(cell.lo[i, -1]), float(cell.hi[i, -1])
+    t0, t1 = -np.inf, np.inf  # after a stop at the destination nothing is known
+    for i in range(len(stops), -1, -1):
+        a, b = borders[i], borders[i + 1]
+        if b > a:
+            if i < len(stops):
+                node.lo[b] = t0 = max(t0, float(node.lo[b]))
+                node.hi[b] = t1 = min(t1, float(node.hi[b]))
+            t0, t1 = steps.backward(node, a, b, i == 0)
+        if i > 0:
+            cold, warm = drifts[i - 1]
+            ambient = stops[i - 1].ambient_c
+            last = cell.lo[i - 1], cell.hi[i - 1]
+            last[0][-1], last[1][-1] = max(last[0][-1], t0), min(last[1][-1], t1)
+            # the stop warms by at most ``warm`` unless ambient does
+            if last[0][-1] - warm > ambient:
+                last[0][:-1] = np.maximum(last[0][:-1], last[0][-1] - warm)
+            if last[1][-1] + cold < min(ambient, floor):
+                last[1][:-1] = np.minimum(last[1][:-1], last[1][-1] + cold)
+            t0, t1 = float(last[0][0]), float(last[1][0])
     return {"temperature": node.outward(), "stop_temperature": cell.outward()}
 
 
+class _Steps:
+    """Temperature intervals from step to step: T' = factor * T + gain, less what cooling takes.
+
+    Plain floats: a recursion of a few hundred steps with a case in it.
+    """
+
+    def __init__(
+        self,
+        factor: list[float],
+        gain_lo: list[float],
+        gain_hi: list[float],
+        cooled: list[float],
+        floor: float,
+    ) -> None:
+        self.factor, self.gain_lo, self.gain_hi = factor, gain_lo, gain_hi
+        self.cooled, self.floor = cooled, floor
+        self.usable = min(factor, default=1.0) > 0.0
+
+    def forward(self, node: Interval, a: int, b: int, t0: float, t1: float) -> tuple[float, float]:
+        """Tighten the nodes a + 1 .. b; return the interval at b."""
+        if not self.usable:
+            return float(node.lo[b]), float(node.hi[b])
+        lo, hi = node.lo[a + 1 : b + 1].tolist(), node.hi[a + 1 : b + 1].tolist()
+        for j, k in enumerate(range(a, b)):
+            t1 = min(hi[j], self.factor[k] * t1 + self.gain_hi[k])
+            t0 = self.factor[k] * t0 + self.gain_lo[k]
+            if t0 > self.floor:  # cooling ends no step below its floor
+                t0 = max(self.floor, t0 - self.cooled[k])
+            t0 = max(lo[j], t0)
+            lo[j], hi[j] = t0, t1
+        node.lo[a + 1 : b + 1], node.hi[a + 1 : b + 1] = lo, hi
+        return t0, t1
+
+    def backward(self, node: Interval, a: int, b: int, first: bool) -> tuple[float, float]:
+        """Tighten the nodes b - 1 .. a + 1 (and a if ``first``); return the start of step a."""
+        t0, t1 = float(node.lo[b]), float(node.hi[b])
+        if not self.usable:
+            return -np.inf, np.inf
+        lo, hi = node.lo.tolist(), node.hi.tolist()
+        for k in range(b - 1, a - 1, -1):
+            taken = self.cooled[k] if t1 > self.floor else 0.0
+            t1 = (t1 - self.gain_lo[k] + taken) / self.factor[k]
+            t0 = (t0 - self.gain_hi[k]) / self.factor[k]
+            if k > a or first:
+                lo[k] = t0 = max(t0, lo[k])
+                hi[k] = t1 = min(t1, hi[k])
+        node.lo[:], node.hi[:] = lo, hi
+        return t0, t1
+
+
 def _stop_drift(instance: Instance, box: Box, i: int, cell_power: Array) -> tuple[float, float]:
-    """Largest fall below and rise above ambient and arrival temperature within a stop [K]."""
+    """Largest fall and rise within a stop, beside cooling and the exchange with ambient [K]."""
     stop, vehicle = instance.stops[i], instance.vehicle
     pack, capacity = vehicle.pack, vehicle.pack.heat_capacity_kwh_per_k
-    longest = float(box.dwell.hi[i].max()) if instance.cells == 1 else stop.max_dwell_h
+    longest = float(box.stay.hi[i])
     if 0.5 * stop.heat_loss_kw_per_k * longest >= capacity:  # then a cell may overshoot ambient
         return np.inf, np.inf
     temp = Interval(box.cell_temperature.lo[i], box.cell_temperature.hi[i])
@@ -239,7 +305,7 @@ def _stop_drift(instance: Instance, box: Box, i: int, cell_power: Array) -> tupl
     gain = np.minimum(0.0, cop.lo * (1.0 - vehicle.heat_pump_droop_per_kw * pump) - 1.0)
     r = range1(pack.resistance_ohm, temp).hi / range1(pack.voltage_squared, energy).lo
     loss = float((r * cell_power).sum()) * float(box.charge.hi[i]) / instance.cells
-    fall = (vehicle.cooling_cop * vehicle.cooling_kw + float(drawn.max())) * longest
+    fall = float(drawn.max()) * longest
     warm = vehicle.heater_battery_efficiency * vehicle.heater_kw - float((gain * pump).min())
     return fall / capacity, (loss + max(warm, 0.0) * longest) / capacity
 
@@ -270,12 +336,13 @@ def propagate(instance: Instance, box: Box) -> Box:
     """
     power, heat = _drive_flow(instance, box)
     dwell, cell_power = _stop_dwell(instance, box)
-    longest = np.array([s.max_dwell_h for s in instance.stops])
-    charge_hi = instance.cells * longest / (1.0 / cell_power).sum(axis=1)
+    charge_hi = instance.cells * box.stay.hi / (1.0 / cell_power).sum(axis=1)
+    stay = box.stay.meet(dwell.lo.sum(axis=1), dwell.hi.sum(axis=1))
     return replace(
         box,
         power=power,
         dwell=dwell.outward(),
+        stay=stay.outward(),
         **_energies(instance, box, power, charge_hi),
         **_temperatures(instance, box, heat, cell_power),
     )
@@ -326,6 +393,7 @@ def make_box(instance: Instance) -> Box:
         leave=Interval(after, e_hi - out),
         stop_temperature=Interval(np.full((S, K + 1), t_lo), np.full((S, K + 1), t_hi)),
         dwell=Interval(np.zeros((S, K)), np.broadcast_to(longest[:, None], (S, K)).copy()),
+        stay=Interval(np.zeros(S), longest),
         step_stop=step_stop,
     )
     for _ in range(ROUNDS):

@@ -35,7 +35,8 @@ from relax.envelopes_charge import (
 )
 from relax.instance import Instance, Stop
 from relax.intervals import Interval, range1, range2
-from relax.reach import pump_limits
+from relax.reach import COOLING_SLACK_K, pump_limits
+from relax.relaxation_drive import FLOOR_WIDTH_K
 from relax.relaxation_stops import STOP_TEMPERATURES
 
 __all__ = ["Spec", "make_spec"]
@@ -128,12 +129,19 @@ def _drive_rows(
         - (h - hp) + cp.multiply(drive.heat_loss_kw_per_k, drive.ambient_c - T)
     )  # fmt: skip
     rate = pack.heat_capacity_kwh_per_k / d
+    floor = car.cooling_from_c - COOLING_SLACK_K
     rows: list[Any] = [
         start - v["energy"][1:] == cp.multiply(d, P),
         P == L + drive.base_kw + hb + ac + hp + cabin + br,
         cp.multiply(rate, v["temperature"][1:] - warm) == flow,
-        hb >= 0.0, hb + cabin <= car.heater_kw, ac >= 0.0, ac <= car.cooling_kw,
+        hb >= 0.0, hb + cabin <= car.heater_kw, ac >= 0.0,
+        ac <= np.where(box.temperature.hi[1:] >= floor, car.cooling_kw, 0.0),
     ]  # fmt: skip
+    cold = np.flatnonzero((box.temperature.lo[1:] < floor - FLOOR_WIDTH_K) & (car.cooling_kw > 0.0))
+    if cold.size:
+        lo = box.temperature.lo[1:][cold]
+        slope = car.cooling_kw / (floor - lo)
+        rows.append(ac[cold] <= cp.multiply(slope, v["temperature"][1:][cold] - lo))
     if car.heater_kw == 0.0:
         rows.append(hb == 0.0)
     most, _, _ = pump_limits(instance, q, range1(car.heat_pump_cop, temp))
@@ -193,13 +201,15 @@ def _stop_rows(
         loss + car.heater_battery_efficiency * hb - car.cooling_cop * ac - (h - hp)
         + stop.heat_loss_kw_per_k * (stop.ambient_c * y - X)
     )  # fmt: skip
+    floor = car.cooling_from_c - COOLING_SLACK_K
+    cooled = np.where(box.stop_temperature.hi[i, 1:] >= floor, car.cooling_kw, 0.0)
     rows: list[Any] = [
         pack.heat_capacity_kwh_per_k * (border[1:] - border[:-1]) == heat,
         arrive >= box.arrive.lo[i], arrive <= box.arrive.hi[i],
         arrive + W <= instance.energy_max_kwh,
         v["leave"][i] == arrive + W - stop.detour_out_kwh,
-        hb >= 0.0, hb + cabin <= car.heater_kw * y, ac >= 0.0, ac <= car.cooling_kw * y,
-        y >= dwell.lo, y <= dwell.hi, cp.sum(y) <= stop.max_dwell_h,
+        hb >= 0.0, hb + cabin <= car.heater_kw * y, ac >= 0.0, ac <= cp.multiply(cooled, y),
+        y >= dwell.lo, y <= dwell.hi, cp.sum(y) <= box.stay.hi[i], cp.sum(y) >= box.stay.lo[i],
     ]  # fmt: skip
     if car.heater_kw == 0.0:
         rows.append(hb == 0.0)

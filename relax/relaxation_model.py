@@ -1,0 +1,69 @@
+"""Owns what the parts of the relaxation share: the rows so far and the columns of the states.
+
+Knows nothing of which rows there are.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from relax.box import Box
+from relax.envelopes import (
+    envelope_pump_heat_over,
+    envelope_pump_heat_under,
+    envelope_pump_power_under,
+)
+from relax.instance import Instance
+from relax.intervals import Interval, range1
+from relax.program import Assembly, Term
+
+__all__ = ["Array", "Index", "Model", "middle", "pick", "pump_planes", "stack"]
+
+Array = npt.NDArray[np.float64]
+Index = npt.NDArray[np.int64]
+
+
+@dataclass
+class Model:
+    """What the parts share: the rows so far, and the columns of the chain of states."""
+
+    rows: Assembly
+    instance: Instance
+    box: Box
+    v: dict[str, Index]
+    cost: dict[str, npt.ArrayLike]
+
+
+def stack(instance: Instance, name: str) -> Array:
+    """Return one attribute of all stops, shape (S,)."""
+    return np.array([getattr(stop, name) for stop in instance.stops], dtype=np.float64)
+
+
+def middle(start: Index, end: Index, coefficient: npt.ArrayLike) -> list[Term]:
+    """Return the terms of coefficient * midpoint of two states."""
+    half = 0.5 * np.asarray(coefficient, dtype=np.float64)
+    return [(start, half), (end, half)]
+
+
+def pick(x: Interval, on: npt.NDArray[np.bool_]) -> Interval:
+    """Return the entries of an interval that a mask selects."""
+    return Interval(x.lo[on], x.hi[on])
+
+
+def pump_planes(
+    instance: Instance, power: Interval, demand: Array, temp: Interval
+) -> list[tuple[str, Array, float]]:
+    """Return the planes of the heat pump, named, with their sign (+1: from above)."""
+    cop, droop = instance.vehicle.heat_pump_cop, instance.vehicle.heat_pump_droop_per_kw
+    out = [
+        ("heat above", envelope_pump_heat_over(cop, droop, power, temp), 1.0),
+        ("heat below", envelope_pump_heat_under(cop, droop, power, temp), -1.0),
+    ]
+    invertible = droop * instance.vehicle.heat_pump_kw < 0.499
+    if invertible and np.all(range1(cop, temp).lo > 0.0):
+        planes = envelope_pump_power_under(cop, droop, power, demand, temp)
+        out.append(("power below", planes, -1.0))
+    return out
