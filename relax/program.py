@@ -10,7 +10,7 @@ physical) and rows are scaled to O(1). Knows nothing of cars and of solvers.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Any
 
@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy.sparse as sp
 
-__all__ = ["Assembly", "ConeProgram", "Term", "make_cone_program"]
+__all__ = ["Assembly", "ConeProgram", "Term", "add_cutoff", "make_cone_program"]
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.int64]
@@ -289,6 +289,46 @@ class Assembly:
                 }
             ),
         )
+
+
+def add_cutoff(program: ConeProgram, cutoff: float) -> ConeProgram:
+    """Return the program with one more row: the cost is at most the cutoff.
+
+    Parameters
+    ----------
+    program : ConeProgram
+        Any program.
+    cutoff : float
+        Largest cost, constant included.
+
+    Examples
+    --------
+    >>> program = make_cone_program([1.0], [[-1.0]], [-2.0], n_nonneg=1, l=[0.0], u=[9.0])
+    >>> add_cutoff(program, 5.0).b.tolist()
+    [-2.0, 5.0]
+    """
+    at = program.n_zero + program.n_nonneg
+    size = float(np.abs(program.q).max(initial=0.0)) or 1.0
+    data, indices = np.array(program.A.data), np.array(program.A.indices)
+    pointer = np.array(program.A.indptr)
+    indices = indices + (indices >= at)
+    columns = np.flatnonzero(program.q)
+    data = np.insert(data, pointer[columns + 1], program.q[columns] / size)
+    indices = np.insert(indices, pointer[columns + 1], at)
+    pointer = pointer + np.concatenate([[0], np.cumsum(program.q != 0.0)])
+    A = sp.csc_array(
+        (data, indices.astype(np.int32), pointer.astype(np.int32)),
+        shape=(program.b.size + 1, program.q.size),
+    )
+    A.sort_indices()
+    return replace(
+        program,
+        A=A,
+        b=np.insert(program.b, at, (cutoff - program.constant) / size),
+        n_nonneg=program.n_nonneg + 1,
+        row_scale=np.insert(program.row_scale, at, 1.0 / size),
+        rows=MappingProxyType({k: v + (v >= at) for k, v in program.rows.items()}),
+    )
 
 
 def make_cone_program(
