@@ -94,9 +94,9 @@ def _print_version(context: click.Context, wanted: bool) -> None:
 # ---------------------------------------------------------------------------- commands
 
 
-def _gap(context: click.Context, parameter: click.Parameter, value: float) -> float:
-    if not 0.0 <= value < float("inf"):
-        raise click.BadParameter("a number of at least 0, e.g. 0.01 for 1 %", context, parameter)
+def _gap(context: click.Context, parameter: click.Parameter, value: float | None) -> float | None:
+    if value is not None and not 0.0 < value < float("inf"):
+        raise click.BadParameter("a number above 0, e.g. 0.01 for 1 %", context, parameter)
     return value
 
 
@@ -130,10 +130,9 @@ def _setting(
 @click.option(
     "--gap",
     type=float,
-    default=0.01,
-    show_default=True,
+    default=None,
     callback=_gap,
-    help="Relative gap at which a plan is called optimal.",
+    help="Relative gap to prove, e.g. 0.01; without it only the quick bounds are computed.",
 )
 @click.option(
     "--time-limit",
@@ -186,7 +185,7 @@ def _setting(
 @click.option("--quiet", "-q", is_flag=True, help="No progress on standard error.")
 def plan(
     trip: str,
-    gap: float,
+    gap: float | None,
     time_limit: float,
     overrides: dict[str, object],
     json_file: str | None,

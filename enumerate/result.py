@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from enumerate.gap import relative_gap
+from enumerate.gap import DEFAULT_GAP, relative_gap
 from enumerate.ledger import Ledger
 
 if TYPE_CHECKING:
@@ -55,6 +55,8 @@ class Result:
         One row per subset.
     chargers : tuple of str
         Names, by index.
+    asked_gap : float or None
+        Relative gap that was to be proved; None: the quick bounds only.
     timings_s : dict of str to float
         Wall-clock time by phase [s].
     interrupted : str
@@ -74,6 +76,7 @@ class Result:
     ledger: Ledger
     chargers: tuple[str, ...]
     timings_s: dict[str, float]
+    asked_gap: float | None = None
     interrupted: str = ""
     diagnosis: Diagnosis | None = None
 
@@ -81,6 +84,11 @@ class Result:
     def gap(self) -> float:
         """Relative gap between cost and bound; ``inf`` while either is missing."""
         return relative_gap(self.cost, self.lower_bound)
+
+    @property
+    def optimal_gap(self) -> float:
+        """Relative gap within which a plan is called optimal: the asked one, or 1 %."""
+        return DEFAULT_GAP if self.asked_gap is None else self.asked_gap
 
     @property
     def is_feasible(self) -> bool:
@@ -129,6 +137,7 @@ class Result:
             "transcribed_cost": self.transcribed_cost,
             "lower_bound": self.lower_bound,
             "gap": self.gap,
+            "asked_gap": self.asked_gap,
             "currency": self.currency,
             "plan": plan,
             "replay": replayed,

@@ -31,12 +31,15 @@ from relax.refinement import Refined, RefineSettings, best_of, refine
 from relax.relaxed_point import RelaxedPoint
 from relax.report import make_report
 from relax.starts import best_start, split_starts
+from relax.tighten import prove
 from relax.trip import Grid, Trip
 
 __all__ = ["MAX_CHARGERS", "Progress", "plan"]
 
 MAX_CHARGERS = 14
 """More chargers than this are refused: 2^14 relaxations take minutes."""
+GIVE_UP = 0.03
+"""Subsets whose refinement is not going to come this near to the best plan end early."""
 BATCH = 4
 """Subsets refined before the best plan is updated; fixed, so that any number of workers
 closes the same subsets."""
@@ -123,6 +126,21 @@ def _refine(setting: _Setting, node: _Node, starts: list[Controls] | None = None
     return _Node(row, node.point, best)
 
 
+def _prove(setting: _Setting, node: _Node, cutoff: float, deadline: float) -> _Node:
+    begin = time.perf_counter()
+    instance = setting.instance(node.row.subset)
+    proof = prove(instance, cutoff, bound=node.row.lower_bound, deadline=deadline)
+    row = replace(
+        node.row,
+        lower_bound=proof.lower_bound,
+        programs=node.row.programs + proof.programs,
+        seconds=node.row.seconds + time.perf_counter() - begin,
+    )
+    if row.outcome is Outcome.UNPROVED and proof.closed:
+        row = replace(row, outcome=Outcome.BOUNDED, reason="closed by tightening")
+    return replace(node, row=row)
+
+
 def _refine_splits(setting: _Setting, node: _Node) -> _Node:
     assert node.refined is not None
     instance = setting.instance(node.row.subset)
@@ -161,9 +179,9 @@ class _Search:
     def run(self, task: Callable[[_Setting, _Node], _Node], nodes: list[_Node], phase: str) -> None:
         """Apply a task to nodes in batches; between batches the clock is looked at."""
         done = 0
-        bound = partial(task, self.setting)
         while nodes and not self.interrupted:
             batch, nodes = nodes[:BATCH], nodes[BATCH:]
+            bound = partial(task, self._setting_now())
             for node in run_in_order(self.executor, bound, batch):
                 self.nodes[node.row.subset] = node
                 done += 1
@@ -172,6 +190,11 @@ class _Search:
                 nodes = [n for n in nodes if not self._close(n)]
             if time.perf_counter() > self.deadline:
                 self.interrupted = "time limit reached"
+
+    def _setting_now(self) -> _Setting:
+        """Return the setting of the next batch: what cannot beat the best plan is given up."""
+        hopeless = self.cost + GIVE_UP * abs(self.cost)
+        return replace(self.setting, refine=replace(self.setting.refine, hopeless=hopeless))
 
     def _close(self, node: _Node) -> bool:
         """Close a subset whose bound shows that it cannot beat the best plan."""
@@ -187,6 +210,47 @@ class _Search:
         if self.report is not None:
             bound = min(n.row.lower_bound for n in self.nodes.values())
             self.report(Progress(phase, done, total, self.cost, bound))
+
+    def relax(self) -> None:
+        """Bound every subset; plan a promising one as soon as it is known."""
+        nodes = self.open()
+        early = [n for n in nodes if len(n.row.subset) <= 1]
+        self.run(_relax_node, early, "relax")
+        for first in self.open()[:1]:
+            if first.point is not None:
+                self.run(_refine, [first], "first plan")
+        self.run(_relax_node, [n for n in nodes if len(n.row.subset) > 1], "relax")
+
+    def refine(self, prune: bool) -> None:
+        """Plan the subsets that may be better than the best plan, most promising first."""
+        if prune:
+            for node in self.open():
+                self._close(node)
+        self.run(_refine, self.open(), "refine" if prune else "refine all")
+        close = [
+            n
+            for n in self.nodes.values()
+            if n.refined is not None
+            and n.row.outcome is Outcome.PLANNED
+            and len(n.row.subset) > 1
+            and is_close(n.row.cost, self.cost)
+        ]
+        self.run(_refine_splits, close, "further starts")
+
+    def prove(self, gap: float) -> None:
+        """Raise the bounds of all subsets that are not yet within the gap of the driven plan."""
+        done = self.execution
+        if done is None or done.replay is None:
+            return
+        cutoff = done.replay.cost - gap * max(abs(done.replay.cost), 1.0)
+        nodes = [
+            n
+            for n in self.nodes.values()
+            if n.row.outcome is not Outcome.INFEASIBLE and n.row.lower_bound < cutoff
+        ]
+        nodes.sort(key=lambda n: -n.row.lower_bound)
+        task = partial(_prove, cutoff=cutoff, deadline=self.deadline)
+        self.run(task, nodes, "prove")
 
     def open(self) -> list[_Node]:
         """Unsettled nodes, least bound first; ties go to fewer stops."""
@@ -215,7 +279,7 @@ class _Search:
 def plan(
     trip: Trip,
     *,
-    gap: float = DEFAULT_GAP,
+    gap: float | None = None,
     time_limit_s: float | None = None,
     workers: int = 1,
     executor: Executor | None = None,
@@ -230,8 +294,10 @@ def plan(
     ----------
     trip : Trip
         From ``load_trip``.
-    gap : float
-        Relative gap at which the plan may be called optimal.
+    gap : float, optional
+        Relative gap to prove: boxes of every subset that could be better are tightened
+        and split until no plan can be cheaper by more than this. Without it only the
+        root bounds are computed, which is fast, and the gap is whatever they give.
     time_limit_s : float, optional
         Wall-clock limit; the best plan and bound at that moment are returned [s].
     workers : int
@@ -256,7 +322,7 @@ def plan(
     Raises
     ------
     ValueError
-        More than 14 chargers, or a negative gap.
+        More than 14 chargers, or a gap that is not above 0.
 
     Examples
     --------
@@ -269,8 +335,8 @@ def plan(
     begin = time.perf_counter()
     if len(trip.chargers) > MAX_CHARGERS:
         raise ValueError(f"at most {MAX_CHARGERS} chargers, not {len(trip.chargers)}")
-    if not gap >= 0.0:
-        raise ValueError(f"gap must be at least 0, not {gap}")
+    if gap is not None and not gap > 0.0:
+        raise ValueError(f"gap must be above 0, not {gap}")
     grid = grid or trip.grid
     setting = _Setting(trip, make_drive(trip, grid.step_km), grid, RefineSettings(solver=solver))
     timings: dict[str, float] = {}
@@ -284,28 +350,23 @@ def plan(
         search = _Search(
             setting, executor, begin + (inf if time_limit_s is None else time_limit_s), progress
         )
-        try:
-            search.run(_relax_node, search.open(), "relax")
-            lap("relax")
-            if prune:
-                search.run(_refine, search.open(), "refine")
-            else:
-                search.run(_refine, search.open(), "refine all")
-            close = [
-                n
-                for n in search.nodes.values()
-                if n.refined is not None
-                and n.row.outcome is Outcome.PLANNED
-                and len(n.row.subset) > 1
-                and is_close(n.row.cost, search.cost)
-            ]
-            search.run(_refine_splits, close, "further starts")
-            lap("refine")
-        except KeyboardInterrupt:
-            search.interrupted = "interrupted"
-            lap("refine")
-    search.drive()
-    lap("replay")
+        phases: list[tuple[str, Callable[[], None]]] = [
+            ("relax", search.relax),
+            ("refine", lambda: search.refine(prune)),
+            ("replay", search.drive),
+        ]
+        if gap is not None:
+            phases.append(("prove", lambda: search.prove(gap)))
+        for name, phase in phases:
+            if search.interrupted and name != "replay":
+                continue
+            try:
+                phase()
+            except KeyboardInterrupt:
+                search.interrupted = "interrupted"
+                if name == "replay":  # the plan is worth more than the moment
+                    search.drive()
+            lap(name)
     return _result(search, gap, timings, begin)
 
 
@@ -313,7 +374,7 @@ def _relax_node(setting: _Setting, node: _Node) -> _Node:
     return _relax(setting, node.row.subset)
 
 
-def _result(search: _Search, gap: float, timings: dict[str, float], begin: float) -> Result:
+def _result(search: _Search, gap: float | None, timings: dict[str, float], begin: float) -> Result:
     """Sum up a finished or interrupted search."""
     trip, best, done = search.setting.trip, search.best, search.execution
     ledger = Ledger(len(trip.chargers), tuple(n.row for n in search.nodes.values()))
@@ -323,10 +384,12 @@ def _result(search: _Search, gap: float, timings: dict[str, float], begin: float
         replayed, cost = done.replay, done.replay.cost
     status = Status.UNKNOWN
     if report is not None:
-        within = relative_gap(cost, ledger.lower_bound) <= gap
+        enough = DEFAULT_GAP if gap is None else gap
+        within = relative_gap(cost, ledger.lower_bound) <= enough * (1.0 + 1e-9)
         status = Status.OPTIMAL if within else Status.FEASIBLE
     elif all(row.outcome is Outcome.INFEASIBLE for row in ledger.rows):
         status = Status.INFEASIBLE
+    settled = report is None and not search.interrupted
     timings["total"] = time.perf_counter() - begin
     return Result(
         trip=trip.name,
@@ -340,6 +403,7 @@ def _result(search: _Search, gap: float, timings: dict[str, float], begin: float
         ledger=ledger,
         chargers=tuple(c.name for c in trip.chargers),
         timings_s=timings,
+        asked_gap=gap,
         interrupted=search.interrupted,
-        diagnosis=None if report is not None else diagnose(trip, search.setting.drive),
+        diagnosis=diagnose(trip, search.setting.drive) if settled else None,
     )

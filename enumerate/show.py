@@ -88,11 +88,13 @@ def _title(result: Result) -> str:
 
 
 def _status(result: Result) -> str:
+    within = f"{percent(result.optimal_gap, 2)} %"
+    asked = "" if result.asked_gap else "; --gap asks for a proof"
     text = {
-        Status.OPTIMAL: "optimal within the gap asked for; the plan keeps every limit when driven "
-        "on the continuous model",
+        Status.OPTIMAL: f"optimal: proved to be within {within} of the best; the plan keeps every "
+        "limit when driven on the continuous model",
         Status.FEASIBLE: "feasible: the plan keeps every limit when driven on the continuous "
-        "model; it is not proved to be optimal within the gap asked for",
+        f"model; it is not proved to be within {within} of the best{asked}",
         Status.INFEASIBLE: "infeasible: for each choice of stops it is proved that no plan exists",
         Status.UNKNOWN: "unknown: no plan was found, and none is ruled out",
     }[result.status]

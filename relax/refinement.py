@@ -39,6 +39,10 @@ LEAST_TRUST_K = 0.05
 """Trust region below which the search ends: it stands on a kink [K]."""
 LARGEST_TRUST_K = 16.0
 """Trust region beyond which it does not grow [K]."""
+HOPE = 5.0
+"""Multiple of its predicted gain that a search is trusted to reach."""
+HOPE_PROGRAMS = 4
+"""Programs before a search may be called hopeless: early predictions are short."""
 MAX_PASSES = 6
 """Bound on the simulations that meet the energy limits; each gains a factor of about 50."""
 FEASIBLE = 2e-5
@@ -59,12 +63,16 @@ class RefineSettings:
         Who solves them.
     solver_tolerance : float
         Tolerance of each program.
+    hopeless : float
+        Cost to beat: a search that could not reach it with several times its
+        predicted gain ends early [currency].
     """
 
     tolerance: float = 2e-5
     max_programs: int = 40
     solver: Literal["clarabel", "osqp"] = "clarabel"
     solver_tolerance: float = 1e-6
+    hopeless: float = inf
 
 
 @dataclass(frozen=True)
@@ -322,6 +330,8 @@ def refine(
             predicted = value - model
             near = FEASIBLE < float(now.violation.max()) < NEARLY_FEASIBLE
             least = settings.tolerance * max(abs(value), 1.0)
+            if value - HOPE * predicted > settings.hopeless and programs >= HOPE_PROGRAMS:
+                return Refined(controls, now, is_feasible(now), programs, seconds)
             if predicted <= (1e-3 * least if near else least):
                 return Refined(controls, now, is_feasible(now), programs, seconds)
             tight = _tight_arrivals(step, program, x)

@@ -12,7 +12,7 @@ import heapq
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from itertools import count
+from itertools import count, pairwise
 
 import numpy as np
 import numpy.typing as npt
@@ -99,7 +99,7 @@ def _targets(instance: Instance, stage: int) -> Iterator[_Target]:
     else:
         borders = [0, *(s.node for s in stops), instance.drive.n_steps]
         for share in LEG_SHARES:
-            for a, b in zip(borders[:-1], borders[1:], strict=True):
+            for a, b in pairwise(borders):
                 if b - a > 4:
                     yield _Target("temperature", "temperature", a + int(share * (b - a)))
 
