@@ -38,8 +38,6 @@ __all__ = ["MAX_CHARGERS", "Progress", "plan"]
 
 MAX_CHARGERS = 14
 """More chargers than this are refused: 2^14 relaxations take minutes."""
-GIVE_UP = 0.03
-"""Subsets whose refinement is not going to come this near to the best plan end early."""
 BATCH = 4
 """Subsets refined before the best plan is updated; fixed, so that any number of workers
 closes the same subsets."""
@@ -192,9 +190,8 @@ class _Search:
                 self.interrupted = "time limit reached"
 
     def _setting_now(self) -> _Setting:
-        """Return the setting of the next batch: what cannot beat the best plan is given up."""
-        hopeless = self.cost + GIVE_UP * abs(self.cost)
-        return replace(self.setting, refine=replace(self.setting.refine, hopeless=hopeless))
+        """Return the setting of the next batch: what cannot beat the best plan ends earlier."""
+        return replace(self.setting, refine=replace(self.setting.refine, hopeless=self.cost))
 
     def _close(self, node: _Node) -> bool:
         """Close a subset whose bound shows that it cannot beat the best plan."""

@@ -20,10 +20,23 @@ from relax.maps import Table1
 from relax.trip import Grid, Trip
 from relax.vehicle import Vehicle
 
-__all__ = ["MIN_CHARGE_KWH", "Drive", "Instance", "Stop", "make_drive", "make_instance"]
+__all__ = [
+    "HEATER_SHARE",
+    "LEAST_ROOM_KW",
+    "MIN_CHARGE_KWH",
+    "Drive",
+    "Instance",
+    "Stop",
+    "make_drive",
+    "make_instance",
+]
 
 Array = npt.NDArray[np.float64]
 
+HEATER_SHARE = 0.9
+"""Share of a charger's free power that the battery heater may take: charging goes on."""
+LEAST_ROOM_KW = 0.02
+"""Charging power left when a charger cannot serve the cabin; the excess is a violation [kW]."""
 MIN_CHARGE_KWH = 0.1
 """Least internal energy of a used stop [kWh]. Less is dominated by driving past:
 the stop costs its detour and brings nothing; and cells of zero energy have no power."""
@@ -168,6 +181,11 @@ class Instance:
     energy_max_kwh: float
     temperature_min_c: float
     temperature_max_c: float
+
+    @property
+    def ceiling_kwh(self) -> float:
+        """Largest internal energy on the way: a full charge, or the start if that is above it."""
+        return max(self.energy_max_kwh, self.start_energy_kwh)
 
     @property
     def subset(self) -> tuple[int, ...]:

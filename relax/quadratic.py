@@ -83,6 +83,8 @@ class QuadraticStep(StepLayout):
         balance, heat = dual("balance", n) * duration, dual("heat", n) * duration
         pump_weight = heat + (balance - dual("heater_max", n)) / vehicle.heater_cabin_efficiency
         pump_weight = pump_weight + dual("cabin", n)
+        # without demand the pump is pinned at zero and its multipliers are arbitrary
+        pump_weight = np.where(self.instance.drive.cabin_heat_kw > 0.0, pump_weight, 0.0)
         blocks = -(balance + heat)[:, None, None] * drive.loss.hessian
         blocks += pump_weight[:, None, None] * drive.pump_heat.hessian
         blocks = convex_part(blocks, DRIVE_SCALE)
@@ -94,6 +96,8 @@ class QuadraticStep(StepLayout):
             heat, grid = dual("cell_heat", m), dual("grid_limit", m) + price
             relief = grid + dual("cell_heater_max", m)
             pump = heat + dual("cell_cabin", m) - relief / vehicle.heater_cabin_efficiency
+            demand = [s.cabin_heat_kw for s in self.instance.stops]
+            pump = np.where(np.repeat(demand, self.instance.cells) > 0.0, pump, 0.0)
             conductance = np.repeat(
                 [s.heat_loss_kw_per_k for s in self.instance.stops], self.instance.cells
             )
@@ -230,7 +234,7 @@ class QuadraticStep(StepLayout):
             rows = spread(-np.ones(d.size), -by_t, -by_e)
             slack = np.maximum(limit + now.power_kw, 0.0)
             values["regen"] = (tuple(c[self.regen] for c in rows), slack[self.regen])
-            room = instance.energy_max_kwh - end
+            room = instance.ceiling_kwh - end
             values["energy_max"] = ((1.0, -1.0), room[self.regen])
             values["brake_min"] = ((-1.0,), now.brake_kw[self.regen])
             most = -drive.base_kw[self.regen]

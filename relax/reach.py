@@ -375,7 +375,7 @@ def make_box(instance: Instance) -> Box:
     for i, stop in enumerate(instance.stops):  # of several at one node the last one counts
         if stop.node < n:
             step_stop[stop.node] = i
-    energy = Interval(instance.energy_min_kwh.copy(), np.full(n + 1, e_hi))
+    energy = Interval(instance.energy_min_kwh.copy(), np.full(n + 1, instance.ceiling_kwh))
     energy.lo[0] = max(energy.lo[0], start)
     energy.hi[0] = min(energy.hi[0], start)
     temperature = Interval(np.full(n + 1, t_lo), np.full(n + 1, t_hi))

@@ -39,10 +39,10 @@ LEAST_TRUST_K = 0.05
 """Trust region below which the search ends: it stands on a kink [K]."""
 LARGEST_TRUST_K = 16.0
 """Trust region beyond which it does not grow [K]."""
+LOSING = 1e-3
+"""Relative tolerance for subsets that cannot reach the best plan any more."""
 HOPE = 5.0
 """Multiple of its predicted gain that a search is trusted to reach."""
-HOPE_PROGRAMS = 4
-"""Programs before a search may be called hopeless: early predictions are short."""
 MAX_PASSES = 6
 """Bound on the simulations that meet the energy limits; each gains a factor of about 50."""
 FEASIBLE = 2e-5
@@ -65,13 +65,13 @@ class RefineSettings:
         Tolerance of each program.
     hopeless : float
         Cost to beat: a search that could not reach it with several times its
-        predicted gain ends early [currency].
+        predicted gain ends at a looser tolerance, 0.1 % [currency].
     """
 
     tolerance: float = 2e-5
     max_programs: int = 40
     solver: Literal["clarabel", "osqp"] = "clarabel"
-    solver_tolerance: float = 1e-6
+    solver_tolerance: float = 1e-5
     hopeless: float = inf
 
 
@@ -330,7 +330,7 @@ def refine(
             predicted = value - model
             near = FEASIBLE < float(now.violation.max()) < NEARLY_FEASIBLE
             least = settings.tolerance * max(abs(value), 1.0)
-            if value - HOPE * predicted > settings.hopeless and programs >= HOPE_PROGRAMS:
+            if value - HOPE * predicted > settings.hopeless and predicted < LOSING * value:
                 return Refined(controls, now, is_feasible(now), programs, seconds)
             if predicted <= (1e-3 * least if near else least):
                 return Refined(controls, now, is_feasible(now), programs, seconds)

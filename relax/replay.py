@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from relax.errors import DomainError
-from relax.instance import Instance, Stop
+from relax.instance import HEATER_SHARE, LEAST_ROOM_KW, Instance, Stop
 from relax.plan import Controls, StopControls
 
 if TYPE_CHECKING:
@@ -39,6 +39,10 @@ EXCESS_K = 1e-3
 """Temperature excess that is rounding [K]."""
 EXCESS_KW = 0.05
 """Excess over the sustained discharge limit that is rounding [kW]."""
+ROUNDING_KW = 1e-6
+"""Excess over a charger's limit that is rounding [kW]."""
+MANAGED_K = 0.2
+"""Band below a limit in which heater or cooling is taken back to zero [K]."""
 EXCESS_H = 1e-4
 """Excess over the longest dwell that is rounding: 0.4 s [h]."""
 
@@ -160,6 +164,19 @@ class _Car:
         self.charge_limit = pack.charge_limit_kw.at
         self.discharge_limit = pack.discharge_limit_kw.at
         self.capacity = pack.heat_capacity_kwh_per_k
+        self.top, self.floor = pack.temperature_max_c, vehicle.cooling_from_c
+
+    def managed(self, temp: float, heater: float, cooling: float) -> tuple[float, float]:
+        """Return heater and cooling as the car allows them near its temperature limits.
+
+        Both are taken back in proportion: the heater to zero at the battery's
+        limit, cooling to zero at the temperature from which it works.
+        """
+        if heater > 0.0 and temp > self.top - MANAGED_K:
+            heater *= max((self.top - temp) / MANAGED_K, 0.0)
+        if cooling > 0.0 and temp < self.floor + MANAGED_K:
+            cooling *= max((temp - self.floor) / MANAGED_K, 0.0)
+        return heater, cooling
 
     def heating(
         self, temp: float, demand: float, heater_set: float, pump_set: float
@@ -193,14 +210,8 @@ class _Car:
         ambient, conductance, drivetrain = climate
         loss = r * power * power
         exchange = conductance * (ambient - temp)
-        flow = (
-            loss
-            + drivetrain
-            + v.heater_battery_efficiency * heater
-            - v.cooling_cop * cooling
-            - (heat - pump)
-            + exchange
-        )
+        flow = loss + drivetrain + exchange - (heat - pump)
+        flow += v.heater_battery_efficiency * heater - v.cooling_cop * cooling
         return [
             -power, flow / self.capacity, 1.0, grid, loss, base, heater, cabin, cooling, pump, heat,
             exchange, drivetrain, 0.0,
@@ -224,11 +235,21 @@ class _Driver:
         self.trip, self.instance, self.car = trip, instance, _Car(trip)
         self.state = [instance.start_energy_kwh, instance.start_temperature_c, *[0.0] * 12]
         self.violations: dict[str, Violation] = {}
+        self.grid_excess_kw = 0.0
         self._ode = ode
 
     def integrate(self, rates: Callable[[float, Any], list[float]], span: float) -> None:
         """Advance the state over a span of the independent variable."""
-        solver = self._ode(rates).set_integrator(
+        failed: list[DomainError] = []
+
+        def guarded(t: float, y: Any) -> list[float]:
+            try:  # an exception must not cross the integrator's compiled code
+                return rates(t, y) if not failed else [0.0] * len(y)
+            except DomainError as error:
+                failed.append(error)
+                return [0.0] * len(y)
+
+        solver = self._ode(guarded).set_integrator(
             "dopri5",
             rtol=RELATIVE_TOLERANCE,
             atol=ABSOLUTE_TOLERANCE,
@@ -237,6 +258,8 @@ class _Driver:
         )
         solver.set_initial_value(self.state, 0.0)
         self.state = solver.integrate(span).tolist()
+        if failed:
+            raise failed[0]
         if not solver.successful():
             raise DomainError("the integration of the continuous model did not converge")
 
@@ -254,6 +277,11 @@ class _Driver:
         self.note("battery temperature above its limit", km, over, "K", EXCESS_K)
         under = instance.temperature_min_c - temp
         self.note("battery temperature below its limit", km, under, "K", EXCESS_K)
+
+    def check_full(self, km: float, most: float) -> None:
+        """Note an energy above the largest allowed."""
+        over = self.state[ENERGY] - most
+        self.note("energy above the largest allowed", km, over, "kWh", SHORTFALL_KWH)
 
     def brake(self, k: int, heater: float, cooling: float, pump: float) -> float:
         """Return the recuperation refused over step k, from its mean power at its start [kW].
@@ -288,12 +316,13 @@ class _Driver:
         demand = vehicle.cabin_heating_kw.at(ambient)
         base = float(route.propulsion_kw[j]) + vehicle.auxiliary_kw + brake
         base += vehicle.cabin_cooling_kw.at(ambient)
-        heater_set, cooling, pump_set = setting
+        heater_set, cooling_set, pump_set = setting
 
         def rates(_: float, y: list[float]) -> list[float]:
             energy, temp = y[0], y[1]
             heater, pump, heat, cabin = car.heating(temp, demand, heater_set, pump_set)
             r = car.resistance(temp) / car.voltage_squared(energy)
+            heater, cooling = car.managed(temp, heater, cooling_set)
             power = _discharge(base + heater + cooling + pump + cabin, r)
             return car.rates(
                 power, r, (base, heater, cooling, pump, heat, cabin), climate, 0.0, temp
@@ -314,7 +343,7 @@ class _Driver:
         climate = (stop.ambient_c, stop.heat_loss_kw_per_k, 0.0)
         part = (target_kwh - state[ENERGY]) / cells
         for j in range(cells if part > 0.0 else 0):
-            power_set, heater_set, cooling, pump_set = (
+            power_set, heater_set, cooling_set, pump_set = (
                 float(column[j])
                 for column in (
                     setting.power_kw,
@@ -329,7 +358,7 @@ class _Driver:
                 y: list[float],
                 power_set: float = power_set,
                 heater_set: float = heater_set,
-                cooling: float = cooling,
+                cooling_set: float = cooling_set,
                 pump_set: float = pump_set,
             ) -> list[float]:
                 energy, temp = y[0], y[1]
@@ -338,13 +367,15 @@ class _Driver:
                 )
                 r = car.resistance(temp) / car.voltage_squared(energy)
                 grid_max = stop.grid_limit_kw.at(energy)
-                free = grid_max - stop.base_kw - cabin - pump - cooling
-                heater = max(min(heater, 0.9 * free), 0.0)
-                room = max(free - heater, 0.1 * grid_max)
+                free = grid_max - stop.base_kw - cabin - pump - cooling_set
+                heater = max(min(heater, HEATER_SHARE * free), 0.0)
+                room = max(free - heater, LEAST_ROOM_KW)
                 limit = 2.0 * room / (1.0 + sqrt(1.0 + 4.0 * r * room))
                 power = min(power_set, limit, car.charge_limit(energy, temp))
+                heater, cooling = car.managed(temp, heater, cooling_set)
                 use = (stop.base_kw, heater, cooling, pump, heat, cabin)
                 grid = power + r * power * power + stop.base_kw + heater + cooling + pump + cabin
+                self.grid_excess_kw = max(self.grid_excess_kw, grid - grid_max)
                 per_time = car.rates(-power, r, use, climate, grid, temp)
                 return [rate / power for rate in per_time]
 
@@ -354,8 +385,9 @@ class _Driver:
         state = self.state
         dwell, grid = state[CLOCK] - begin[CLOCK], state[GRID] - begin[GRID]
         self.note("dwell beyond the longest allowed", km, dwell - stop.max_dwell_h, "h", EXCESS_H)
-        over = state[ENERGY] - self.instance.energy_max_kwh
-        self.note("energy above the largest allowed", km, over, "kWh", SHORTFALL_KWH)
+        self.check_full(km, self.instance.energy_max_kwh)
+        excess, self.grid_excess_kw = self.grid_excess_kw, 0.0
+        self.note("grid power above the charger's limit", km, excess, "kW", ROUNDING_KW)
         depart = state[ENERGY]
         state[ENERGY] -= stop.detour_out_kwh
         short = stop.leave_min_kwh - state[ENERGY]
@@ -435,6 +467,7 @@ def replay(
         short = float(least[i]) - driver.state[ENERGY]
         driver.note("energy below the least on the way", km, short, "kWh", SHORTFALL_KWH)
         driver.check_temperature(km)
+        driver.check_full(km, instance.ceiling_kwh)
         if km in node:
             if k >= 0:
                 _check_power(driver, k, step_start, km)

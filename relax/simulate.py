@@ -15,17 +15,17 @@ from math import inf, sqrt
 import numpy as np
 
 from relax.errors import DomainError
-from relax.instance import Drive, Instance, Stop
+from relax.instance import HEATER_SHARE, LEAST_ROOM_KW, Drive, Instance, Stop
 from relax.plan import Controls, StopControls, StopTrajectory, Trajectory
 
 __all__ = ["Simulation", "Thermostat", "idle_controls", "simulate", "stop_cost"]
 
 TEMPERATURE_TOLERANCE_K = 1e-9
 """Change of the end temperature at which a step's implicit equation counts as solved [K]."""
+POWER_TOLERANCE_KW = 1e-10
+"""Change of the battery power at which a step counts as solved [kW]."""
 MAX_ITERATIONS = 20
 """Secant steps of one implicit equation before it is bracketed; 3 to 5 are usual."""
-MIN_CHARGE_SHARE = 0.1
-"""Share of a charger's free power that heaters may not take, so that charging goes on."""
 
 
 def _pump_power(heat_kw: float, cop: float, droop: float) -> float:
@@ -104,6 +104,22 @@ class _Car:
 StepResult = tuple[float, float, float, float, float, float, float, float, float, float]
 
 
+def _refused(car: _Car, energy: float, half_d: float, mid: float, power: float) -> float:
+    """Return the charging power that equals the limit at its own midpoint energy, by bisection.
+
+    Charging less lowers the midpoint energy and so, if at all, raises the limit:
+    there is one such power between the unlimited one and zero.
+    """
+    lo, hi = power, 0.0
+    while hi - lo > POWER_TOLERANCE_KW:
+        middle = 0.5 * (lo + hi)
+        if middle < -car.charge_limit(energy - half_d * middle, mid):
+            lo = middle
+        else:
+            hi = middle
+    return hi
+
+
 def _drive_step(
     car: _Car,
     row: tuple[float, ...],
@@ -125,12 +141,12 @@ def _drive_step(
     """
     d, base, ripple, q_ed, ambient, conductance, demand = row
     half_d, scale = 0.5 * d, d / car.capacity
-    power = 0.0
+    power = moved = 0.0
     out: StepResult = (0.0,) * 10
 
     def phi(end: float) -> float:
-        nonlocal power, out
-        mid = 0.5 * (temp + end)
+        nonlocal power, moved, out
+        mid, before = 0.5 * (temp + end), power
         heater, pump, heat, cabin = car.actuators(mid, demand, heater_set, pump_set)
         e_mid = energy - half_d * power
         r = car.resistance(mid) / car.voltage_squared(e_mid)
@@ -150,17 +166,21 @@ def _drive_step(
         root = 1.0 - 4.0 * r * total
         power = 2.0 * total / (1.0 + sqrt(root)) if root > 0.0 else 2.0 * total
         brake = 0.0
-        if power < 0.0:
-            limit = car.charge_limit(e_mid, mid)
-            if power < -limit:
-                power = -limit
-                brake = power - r * (power * power + ripple) - load
+        if power < 0.0 and power < -car.charge_limit(energy - half_d * power, mid):
+            power = _refused(car, energy, half_d, mid, power)
+            r = car.resistance(mid) / car.voltage_squared(energy - half_d * power)
+            brake = max(power - r * (power * power + ripple) - load, 0.0)
+        moved = abs(power - before)
         loss = r * (power * power + ripple)
         result = temp + scale * (flow + loss + car.heater_eff * heater)
         out = (result, power, loss, brake, heater, pump, heat, cabin, cooling, 0.0)
         return result
 
     end = _solve_implicit(phi, guess)
+    for _ in range(MAX_ITERATIONS):  # the temperature may settle before the power does
+        if moved <= POWER_TOLERANCE_KW:
+            break
+        end = _solve_implicit(phi, end)
     over = out[1] - car.discharge_limit(energy - half_d * power, 0.5 * (temp + end))
     return (end, *out[1:9], over)
 
@@ -185,8 +205,11 @@ def _charge(
     energy: float,
     temp: float,
     caps: Sequence[float],
-) -> StopTrajectory:
-    """Charge at one stop from the state after the detour in; heaters as in ``_drive_step``."""
+) -> tuple[StopTrajectory, float]:
+    """Charge at one stop from the state after the detour in; heaters as in ``_drive_step``.
+
+    Also returns by how much the charger's power would be exceeded [kW].
+    """
     cells = controls.power_kw.size
     e = controls.energy_kwh / cells
     rows: list[tuple[float, ...]] = []
@@ -200,7 +223,7 @@ def _charge(
         controls.heat_pump_kw.tolist(),
         strict=True,
     )
-    rise = 0.0
+    rise = excess = 0.0
     for j, (power_set, heater_set, cooling_set, pump_set) in enumerate(settings):
         e_mid = energy + (j + 0.5) * e
         voltage_squared = car.voltage_squared(e_mid)
@@ -228,8 +251,8 @@ def _charge(
             limit = car.charge_limit(e_mid, mid)
             power = min(power_set, limit)
             free = grid_max - base - cabin - pump - cooling_set
-            heater = max(min(heater, (1.0 - MIN_CHARGE_SHARE) * free), 0.0)
-            room = max(free - heater, MIN_CHARGE_SHARE * grid_max)
+            heater = max(min(heater, HEATER_SHARE * free), 0.0)
+            room = max(free - heater, LEAST_ROOM_KW)
             power = min(power, 2.0 * room / (1.0 + sqrt(1.0 + 4.0 * r * room)))
             dwell = e / power
             loss = r * power * power
@@ -250,13 +273,15 @@ def _charge(
         end = _solve_implicit(phi, start + rise)
         rise = end - start
         temps.append(end)
+        excess = max(excess, row[2] / row[0] - grid_max)
         rows.append(row)
     columns = [np.array(c, dtype=np.float64) for c in zip(*rows, strict=True)]
-    return StopTrajectory(
+    done = StopTrajectory(
         np.asarray(energy + e * np.arange(cells + 1), dtype=np.float64),
         np.array(temps),
         *columns,
     )
+    return done, excess
 
 
 def stop_cost(stop: Stop, dwell_h: float, grid_kwh: float) -> float:
@@ -282,6 +307,7 @@ class _Walk:
     stops: list[StopTrajectory] = field(default_factory=list)
     cost: float = 0.0
     short: float = 0.0
+    excess_kw: float = 0.0
     excess_h: float = 0.0
 
     def copy(self) -> _Walk:
@@ -331,7 +357,7 @@ class Simulation:
         self._thermostat = self._limit
 
     def run(
-        self, controls: Controls, keep: int = 0, thermostat: Thermostat | None = None
+        self, controls: Controls, keep: int | None = None, thermostat: Thermostat | None = None
     ) -> Trajectory:
         """Return the trajectory of the controls.
 
@@ -339,8 +365,9 @@ class Simulation:
         ----------
         controls : Controls
             Powers per step and cell.
-        keep : int
-            The controls before stop ``keep`` are those of the last run.
+        keep : int, optional
+            The controls before stop ``keep`` are those of the last run: it goes on
+            from the arrival there.
         thermostat : Thermostat, optional
             Temperatures beyond which the heaters do not heat; the battery's limit
             by default.
@@ -349,7 +376,7 @@ class Simulation:
         self._thermostat = thermostat or self._limit
         walk = _Walk(self.instance.start_energy_kwh, self.instance.start_temperature_c)
         node = 0
-        if 0 < keep < len(self._at_stop):
+        if keep is not None and keep < len(self._at_stop):
             walk, node = self._at_stop[keep].copy(), stops[keep].node
             self._at_stop = self._at_stop[: keep + 1]
         else:
@@ -401,7 +428,7 @@ class Simulation:
     def _stop(self, walk: _Walk, controls: Controls, i: int) -> None:
         """Charge at stop i."""
         stop = self.instance.stops[i]
-        done = _charge(
+        done, excess = _charge(
             self._car,
             stop,
             controls.stops[i],
@@ -418,6 +445,7 @@ class Simulation:
             stop.leave_min_kwh - last + stop.detour_out_kwh,
             last - self.instance.energy_max_kwh,
         )
+        walk.excess_kw = max(walk.excess_kw, excess)
         walk.excess_h = max(walk.excess_h, dwell - stop.max_dwell_h)
         walk.energy, walk.temp = last - stop.detour_out_kwh, float(done.temperature_c[-1])
         walk.stops.append(done)
@@ -430,9 +458,9 @@ class Simulation:
         low = min([arrive[:, 1].min(), *(s.temperature_c.min() for s in walk.stops)])
         violation = np.array(
             [
-                max(walk.short, float(arrive[:, 0].max()) - instance.energy_max_kwh),
+                max(walk.short, float(arrive[:, 0].max()) - instance.ceiling_kwh),
                 max(peak - instance.temperature_max_c, instance.temperature_min_c - low),
-                float(table[:, 9].max()),
+                max(float(table[:, 9].max()), walk.excess_kw),
                 walk.excess_h,
             ]
         )

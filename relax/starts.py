@@ -21,7 +21,7 @@ __all__ = ["best_start", "even_start", "relaxed_start", "split_starts", "warm_st
 
 Array = npt.NDArray[np.float64]
 
-NEAR = 0.15
+NEAR = 0.3
 """Relative distance to its bound within which the relaxed start is taken as it is."""
 WARM_LEVELS = ((10.0, 0.0), (20.0, 0.5), (30.0, 0.5), (30.0, 1.0))
 """Temperature and time ahead of the stop of the warm starts [degrees C, h]."""
