@@ -1,0 +1,64 @@
+"""Owns what a measurement must say about where it was made: versions and processor."""
+
+from __future__ import annotations
+
+import os
+import platform
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+__all__ = ["make_single_threaded", "processor", "versions"]
+
+PACKAGES = ("evrelax", "casadi", "clarabel", "numpy", "scipy", "osqp")
+"""Packages whose version may change a figure."""
+THREAD_VARIABLES = (
+    "OMP_NUM_THREADS",
+    "OPENBLAS_NUM_THREADS",
+    "MKL_NUM_THREADS",
+    "BLIS_NUM_THREADS",
+    "RAYON_NUM_THREADS",
+)
+"""Environment variables that libraries read, once, when they are imported."""
+
+
+def make_single_threaded() -> None:
+    """Keep this process to one thread per library and one core; call before other imports."""
+    for name in THREAD_VARIABLES:
+        os.environ[name] = "1"
+    if hasattr(os, "sched_setaffinity"):  # Linux only
+        os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
+
+
+def versions() -> dict[str, str]:
+    """Return versions of Python and of the packages that matter.
+
+    Examples
+    --------
+    >>> "python" in versions() and "numpy" in versions()
+    True
+    """
+    found = {"python": platform.python_version()}
+    for name in PACKAGES:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            found[name] = "not installed"
+    return found
+
+
+def processor() -> str:
+    """Return the name of the processor and the number of cores.
+
+    Examples
+    --------
+    >>> processor().endswith("cores")
+    True
+    """
+    name = platform.processor() or platform.machine()
+    info = Path("/proc/cpuinfo")
+    if info.is_file():
+        for line in info.read_text(encoding="utf-8").splitlines():
+            if line.startswith("model name"):
+                name = line.split(":", 1)[1].strip()
+                break
+    return f"{name}, {os.cpu_count()} cores"
