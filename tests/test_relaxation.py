@@ -164,7 +164,7 @@ def test_every_feasible_trajectory_satisfies_box_and_rows_at_its_own_cost() -> N
             assert broken == {}, name
             assert program.q @ x + program.constant == pytest.approx(trajectory.cost, rel=1e-9)
             seen += 1
-    assert seen > 200
+    assert seen > 150
 
 
 def test_the_certified_bound_is_below_every_feasible_cost() -> None:
@@ -245,7 +245,7 @@ def test_the_twin_in_cvxpy_has_the_same_optimum(index: int) -> None:
     found = solve_cone(program, SolveSettings(tolerance=1e-8))
     spec = make_spec(instance, box)
     assert spec.problem.is_dcp() and spec.problem.is_dcp(dpp=True)
-    spec.problem.solve(solver=cp.CLARABEL)
+    spec.problem.solve(solver=cp.CLARABEL, tol_gap_abs=1e-7, tol_gap_rel=1e-7, tol_feas=1e-7)
     if found.status is SolveStatus.INFEASIBLE:
         assert spec.problem.status in (cp.INFEASIBLE, cp.INFEASIBLE_INACCURATE)
     else:
