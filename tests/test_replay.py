@@ -28,7 +28,7 @@ from relax import (
     simulate,
 )
 from relax.refinement import complete
-from relax.replay import Violation
+from relax.replay import Violation, _Driver
 from relax.simulate import Simulation
 from relax.starts import even_start
 
@@ -365,6 +365,22 @@ def test_leaving_the_maps_is_always_a_domain_error(ohm: float) -> None:
     except (DomainError, ValueError, SystemError) as error:
         kind = type(error)  # kept short: its chain of causes may be thousands long
     assert kind is DomainError
+
+
+def test_an_error_ends_the_integration_at_once() -> None:
+    """Raised through the integrator's compiled code it may change its kind, and comes late."""
+    trip = small_trip()
+    driver = _Driver(trip, make_instance(trip, ()))
+    calls = 0
+
+    def rates(_: float, y: list[float]) -> list[float]:
+        nonlocal calls
+        calls += 1
+        raise DomainError("off the map")
+
+    with pytest.raises(DomainError, match="off the map"):
+        driver.integrate(rates, 1.0)
+    assert calls == 1
 
 
 @pytest.mark.parametrize("what", ["heater_kw", "cooling_kw"])
