@@ -76,6 +76,7 @@ def _drive(trip: Trip, instance: Instance, refined: Refined) -> tuple[tuple[floa
         shift = max(min(missing, instance.energy_max_kwh - targets[last]), -room)
         targets[last] += shift
         if max(abs(a - b) for a, b in zip(before, targets, strict=True)) <= TARGET_TOLERANCE_KWH:
+            targets = before  # those that were driven
             break
         driven = replay(trip, instance, refined.controls, tuple(targets))
     return tuple(targets), driven
@@ -149,7 +150,7 @@ def execute(
         try:
             targets, driven = _drive(trip, instance, refined)
         except DomainError as error:
-            reason = f"the car cannot drive it: {error}"
+            driven, reason = None, f"the car cannot drive it: {error}"
             break
         if driven.feasible:
             return Execution(refined.controls, targets, refined.trajectory, driven, "")

@@ -43,6 +43,8 @@ LOSING = 1e-3
 """Relative tolerance for subsets that cannot reach the best plan any more."""
 HOPE = 5.0
 """Multiple of its predicted gain that a search is trusted to reach."""
+USABLE = (SolveStatus.SOLVED, SolveStatus.INACCURATE)
+"""Solver results a step may be taken from: it is judged by simulation anyway."""
 MAX_PASSES = 6
 """Bound on the simulations that meet the energy limits; each gains a factor of about 50."""
 FEASIBLE = 2e-5
@@ -323,7 +325,7 @@ def refine(
         while programs < settings.max_programs and trust.temperature_k > LEAST_TRUST_K:
             program = step.build(now, drive, cells, multipliers, penalty, trust)
             solution = solve(program)
-            if solution.status not in (SolveStatus.SOLVED, SolveStatus.INACCURATE):
+            if solution.status not in USABLE:
                 return Refined(controls, now, is_feasible(now), programs, seconds)
             x = solution.x
             model = now.cost - _occupancy(instance, now) + program.change(x)

@@ -22,8 +22,11 @@ __all__ = ["Simulation", "Thermostat", "idle_controls", "simulate", "stop_cost"]
 
 TEMPERATURE_TOLERANCE_K = 1e-9
 """Change of the end temperature at which a step's implicit equation counts as solved [K]."""
-POWER_TOLERANCE_KW = 1e-10
-"""Change of the battery power at which a step counts as solved [kW]."""
+POWER_TOLERANCE_KW = 1e-6
+"""Change of the battery power at which a step counts as solved [kW]: it enters only through
+the midpoint energy at which resistance and limits are read."""
+REFUSED_TOLERANCE_KW = 1e-10
+"""Width at which the bisection of a refused recuperation ends [kW]."""
 MAX_ITERATIONS = 20
 """Secant steps of one implicit equation before it is bracketed; 3 to 5 are usual."""
 
@@ -111,7 +114,7 @@ def _refused(car: _Car, energy: float, half_d: float, mid: float, power: float) 
     there is one such power between the unlimited one and zero.
     """
     lo, hi = power, 0.0
-    while hi - lo > POWER_TOLERANCE_KW:
+    while hi - lo > REFUSED_TOLERANCE_KW:
         middle = 0.5 * (lo + hi)
         if middle < -car.charge_limit(energy - half_d * middle, mid):
             lo = middle
@@ -141,7 +144,7 @@ def _drive_step(
     """
     d, base, ripple, q_ed, ambient, conductance, demand = row
     half_d, scale = 0.5 * d, d / car.capacity
-    power = moved = 0.0
+    power, moved = base, 0.0
     out: StepResult = (0.0,) * 10
 
     def phi(end: float) -> float:
