@@ -19,6 +19,9 @@ from relax.relaxation import build_relaxation
 from relax.relaxed_point import RelaxedPoint, unpack_point
 from relax.solve import SolveSettings, SolveStatus, solve_cone
 
+ROOT_SETTINGS = SolveSettings(tolerance=1e-4)
+"""The bound is safe at any tolerance, and the point only starts a refinement."""
+
 __all__ = ["RelaxedSubset", "relax_subset"]
 
 
@@ -84,7 +87,7 @@ def relax_subset(
         return RelaxedSubset(SolveStatus.INFEASIBLE, None, None, True, seconds, 0.0)
     program = build_relaxation(instance, box)
     build_s = time.perf_counter() - begin
-    solution = solve_cone(program, settings)
+    solution = solve_cone(program, settings or ROOT_SETTINGS)
     begin = time.perf_counter()
     bound = certify_lower_bound(program, solution.z)
     infeasible = solution.status is SolveStatus.INFEASIBLE and isinstance(

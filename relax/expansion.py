@@ -165,10 +165,12 @@ def _end(trajectory: Trajectory, nodes: Array) -> Array:
     return nodes[1 : trajectory.power_kw.size + 1]
 
 
-def expand_cells(instance: Instance, trajectory: Trajectory) -> CellExpansion:
+def expand_cells(
+    instance: Instance, trajectory: Trajectory, *, kinks: bool = True
+) -> CellExpansion:
     """Expand the terms of all cells at a trajectory, in (W, y, T, E_arrive, H_p).
 
-    Needs at least one stop.
+    Needs at least one stop. Without ``kinks``, ``other_dwell`` stays empty.
     """
     vehicle, cells = instance.vehicle, instance.cells
     stops = trajectory.stops
@@ -241,7 +243,8 @@ def expand_cells(instance: Instance, trajectory: Trajectory) -> CellExpansion:
     )
     grid = _term(limit * y, {1: limit, 3: limit_e * y}, {(1, 3): limit_e}, 5)
     others = tuple(
-        _to_stop_variables(_kink(e, p, near), cells) for near in table.neighbours(middle, temp)
+        _to_stop_variables(_kink(e, p, near), cells)
+        for near in (table.neighbours(middle, temp) if kinks else ())
     )
     return CellExpansion(
         loss=_to_stop_variables(loss, cells),

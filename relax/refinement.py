@@ -29,7 +29,7 @@ Array = npt.NDArray[np.float64]
 
 AT_LIMIT = 1e-5
 """Slack below which a control counts as lying on its limit [kW, kWh or h]."""
-END_TOLERANCE_KWH = 1e-5
+END_TOLERANCE_KWH = 2e-5
 """How exactly the energy at the end of the trip meets its limit [kWh]."""
 NEARLY_FEASIBLE = 1e-2
 """Violation that further steps are worth, however little they gain [kWh, K, kW, h]."""
@@ -144,12 +144,11 @@ def complete(
     Returns
     -------
     tuple of Controls and Trajectory
-        The limits are met to 1e-5 kWh unless a full or an empty battery prevents it.
+        The limits are met to 2e-5 kWh unless a full or an empty battery prevents it.
     """
     trajectory = simulation.run(controls)
-    rate = 1.0
     for _ in range(MAX_PASSES if controls.stops else 0):
-        shift = _shortage(simulation.instance, controls, trajectory, tight, rate)
+        shift = _shortage(simulation.instance, controls, trajectory, tight, simulation.worth)
         changed = np.flatnonzero(np.abs(shift) > END_TOLERANCE_KWH)
         if not changed.size:
             break
@@ -160,9 +159,9 @@ def complete(
         controls = replace(controls, stops=stops)
         before = trajectory.final_energy_kwh
         trajectory = simulation.run(controls, keep=int(changed[0]))
-        # what a charged kWh is worth at the end: below 1 by the losses, learnt as we go
         gained, added = trajectory.final_energy_kwh - before, float(shift.sum())
-        rate = added / gained if gained * added > 0.0 and 0.5 < added / gained < 2.0 else 1.0
+        if gained * added > 0.0 and 0.5 < added / gained < 2.0:
+            simulation.worth = added / gained
     return controls, trajectory
 
 
@@ -320,7 +319,7 @@ def refine(
 
     while programs < settings.max_programs:
         drive = expand_drive(instance, now)
-        cells = expand_cells(instance, now) if now.stops else None
+        cells = expand_cells(instance, now, kinks=bool(step.kinks)) if now.stops else None
         accepted = False
         while programs < settings.max_programs and trust.temperature_k > LEAST_TRUST_K:
             program = step.build(now, drive, cells, multipliers, penalty, trust)
@@ -342,6 +341,8 @@ def refine(
             if gained <= 0.05 * predicted and not is_feasible(then):
                 program = step.corrected(program, x, now, then)
                 solution = solve(program)
+                if solution.status not in USABLE:
+                    break
                 x = solution.x
                 trial, then = complete(
                     simulation, _next_controls(step, program, x, now, 1.0), tight

@@ -95,13 +95,23 @@ class _Car:
 
         Returns heater, heat pump, heat-pump heat and cabin heater power [kW].
         """
+        # branches instead of min and max: this is the innermost call of every simulation
         heat = 0.0
         if pump > 0.0:
+            if pump > self.pump_kw:
+                pump = self.pump_kw
             cop = self.cop(temp)
-            pump = min(pump, self.pump_kw, _pump_power(demand, cop, self.droop))
             heat = cop * pump * (1.0 - self.droop * pump)
+            if heat > demand:
+                pump = _pump_power(demand, cop, self.droop)
+                heat = demand
+        else:
+            pump = 0.0
         cabin = (demand - heat) / self.cabin_eff
-        return max(min(heater, self.heater_kw - cabin), 0.0), max(pump, 0.0), heat, cabin
+        room = self.heater_kw - cabin
+        if heater > room:
+            heater = room
+        return heater if heater > 0.0 else 0.0, pump, heat, cabin
 
 
 StepResult = tuple[float, float, float, float, float, float, float, float, float, float]
@@ -347,6 +357,11 @@ class Simulation:
     ----------
     instance : Instance
         Subset and grid.
+
+    Notes
+    -----
+    ``worth`` is how much charged energy one kWh at the end takes, by the losses on
+    the way: kept here for those who charge until an end energy is met.
     """
 
     def __init__(self, instance: Instance) -> None:
@@ -354,6 +369,7 @@ class Simulation:
         self._car = _Car(instance)
         self._drive_rows = _drive_rows(instance.drive)
         self._at_stop: list[_Walk] = []
+        self.worth = 1.0
         n, cells = instance.drive.n_steps, instance.cells
         top = instance.temperature_max_c
         self._limit = Thermostat([top] * n, [[top] * cells] * len(instance.stops))

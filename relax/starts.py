@@ -21,7 +21,7 @@ __all__ = ["best_start", "even_start", "relaxed_start", "split_starts", "warm_st
 
 Array = npt.NDArray[np.float64]
 
-NEAR = 0.3
+NEAR = 0.5
 """Relative distance to its bound within which the relaxed start is taken as it is."""
 WARM_LEVELS = ((10.0, 0.0), (20.0, 0.5), (30.0, 0.5), (30.0, 1.0))
 """Temperature and time ahead of the stop of the warm starts [degrees C, h]."""
@@ -123,19 +123,18 @@ def best_start(instance: Instance, point: RelaxedPoint | None, bound: float) -> 
     """
     simulation = Simulation(instance)
 
-    def value(controls: Controls) -> float:
-        return merit(instance, complete(simulation, controls)[1])
+    def completed(controls: Controls) -> tuple[float, Controls]:
+        controls, trajectory = complete(simulation, controls)
+        return merit(instance, trajectory), controls
 
     even = even_start(instance)
-    candidates = [even if point is None else relaxed_start(instance, point)]
-    values = [value(candidates[0])]
-    if values[0] > bound + NEAR * abs(bound) and instance.stops:
-        split = candidates[0]
-        cold = replace(even, stops=split.stops)
-        candidates += [warm_start(instance, cold, *level) for level in WARM_LEVELS]
-        candidates.append(even)
-        values += [value(c) for c in candidates[1:]]
-    return candidates[int(np.argmin(values))]
+    first = completed(even if point is None else relaxed_start(instance, point))
+    if first[0] <= bound + NEAR * abs(bound) or not instance.stops:
+        return first[1]
+    cold = replace(even, stops=first[1].stops)
+    others = [warm_start(instance, cold, *level) for level in WARM_LEVELS]
+    found = [first, *(completed(c) for c in [*others, even])]
+    return min(found, key=lambda pair: pair[0])[1]
 
 
 def _followed(instance: Instance, wanted: Controls, thermostat: Thermostat) -> Controls:
