@@ -213,9 +213,8 @@ class _Search:
         nodes = self.open()
         early = [n for n in nodes if len(n.row.subset) <= 1]
         self.run(_relax_node, early, "relax")
-        for first in self.open()[:1]:
-            if first.point is not None:
-                self.run(_refine, [first], "first plan")
+        known = [n for n in self.open() if n.point is not None]
+        self.run(_refine, known[:1], "first plan")
         self.run(_relax_node, [n for n in nodes if len(n.row.subset) > 1], "relax")
 
     def refine(self, prune: bool) -> None:

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Execution", "execute"]
 
-TARGET_TOLERANCE_KWH = 1e-6
+TARGET_TOLERANCE_KWH = 5e-6
 """How exactly the driven trip ends at its least energy [kWh]."""
 MAX_DRIVES = 8
 """Bound on the replays that move the charging targets; 2 or 3 are usual."""

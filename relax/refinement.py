@@ -39,7 +39,7 @@ LEAST_TRUST_K = 0.05
 """Trust region below which the search ends: it stands on a kink [K]."""
 LARGEST_TRUST_K = 16.0
 """Trust region beyond which it does not grow [K]."""
-LOSING = 1e-3
+LOSING = 2e-3
 """Relative tolerance for subsets that cannot reach the best plan any more."""
 HOPE = 5.0
 """Multiple of its predicted gain that a search is trusted to reach."""
@@ -67,7 +67,7 @@ class RefineSettings:
         Tolerance of each program.
     hopeless : float
         Cost to beat: a search that could not reach it with several times its
-        predicted gain ends at a looser tolerance, 0.1 % [currency].
+        predicted gain ends at a looser tolerance, 0.2 % [currency].
     """
 
     tolerance: float = 2e-5
