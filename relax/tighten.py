@@ -13,6 +13,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import count, pairwise
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -110,6 +111,12 @@ def _targets(instance: Instance, stage: int) -> Iterator[_Target]:
                     yield _Target("temperature", "temperature", a + int(share * (b - a)))
 
 
+def _with(box: Box, name: str, interval: Interval) -> Box:
+    """Return the box with another interval."""
+    changes: dict[str, Any] = {name: interval}
+    return replace(box, **changes)
+
+
 class _Work:
     """One box being tightened: its programs, its relaxed optimum, its bound."""
 
@@ -161,7 +168,7 @@ class _Work:
             lo, hi = interval.lo.copy(), interval.hi.copy()
             (lo if sign > 0.0 else hi)[target.index] = sign * value
             interval = Interval(lo, hi)
-        self.box = replace(self.box, **{target.name: interval})
+        self.box = _with(self.box, target.name, interval)
 
     def spread(self) -> None:
         """Propagate what was learnt through the box."""
@@ -199,10 +206,10 @@ def _split(instance: Instance, box: Box) -> tuple[Box, Box] | None:
     target, at = choice
     halves = []
     for upper in (False, True):
-        interval = getattr(box, target.name)
-        lo, hi = interval.lo.copy(), interval.hi.copy()
-        (lo if upper else hi)[target.index] = at
-        halves.append(replace(box, **{target.name: Interval(lo, hi)}))
+        whole: Interval = getattr(box, target.name)
+        ends = whole.lo.copy(), whole.hi.copy()
+        ends[0 if upper else 1][target.index] = at
+        halves.append(_with(box, target.name, Interval(*ends)))
     return halves[0], halves[1]
 
 
