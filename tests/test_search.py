@@ -1,0 +1,157 @@
+"""The search gives one answer, whoever computes it, and keeps what it knows when it is stopped."""
+
+from __future__ import annotations
+
+import math
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
+
+import pytest
+from trips import small_trip
+
+from enumerate import Outcome, Progress, Result, Status, plan
+from relax import load_trip
+from relax.trip import Trip
+
+PAPER = load_trip("paper-400km", {"route.ambient_c": 10.0})
+
+
+@pytest.fixture(scope="module")
+def serial() -> Result:
+    return plan(PAPER)
+
+
+def same(a: Result, b: Result) -> None:
+    assert a.cost == b.cost and a.lower_bound == b.lower_bound
+    assert [s.charger for s in a.plan.stops] == [s.charger for s in b.plan.stops]  # type: ignore[union-attr]
+    rows = [[(r.subset, r.outcome, r.cost, r.lower_bound) for r in x.ledger.rows] for x in (a, b)]
+    assert rows[0] == rows[1]
+
+
+def test_threads_and_processes_give_the_serial_result(serial: Result) -> None:
+    same(plan(PAPER, workers=2), serial)
+    with ProcessPoolExecutor(2) as pool:
+        same(plan(PAPER, executor=pool), serial)
+
+
+def test_every_subset_is_accounted_for_and_the_best_plan_is_the_least(serial: Result) -> None:
+    full = plan(PAPER, prune=False)
+    assert full.ledger.counts()["bounded"] == 0
+    assert sum(v for k, v in serial.ledger.counts().items() if k != "total") == 8
+    best = min(row.cost for row in full.ledger.rows)
+    assert full.transcribed_cost == best
+    assert serial.transcribed_cost == pytest.approx(best, rel=1e-4)
+    for row, same_row in zip(full.ledger.rows, serial.ledger.rows, strict=True):
+        assert row.subset == same_row.subset
+        if same_row.outcome is Outcome.BOUNDED:
+            assert same_row.lower_bound <= row.cost * (1.0 + 1e-9)
+        if row.outcome is Outcome.PLANNED:
+            assert row.lower_bound <= row.cost * (1.0 + 1e-9)
+
+
+def test_the_reported_cost_is_the_replayed_one(serial: Result) -> None:
+    assert serial.replay is not None and serial.plan is not None
+    assert serial.cost == serial.replay.cost
+    assert serial.cost == pytest.approx(sum(s.cost for s in serial.plan.stops), rel=1e-12)
+    assert serial.replay.feasible
+    assert serial.lower_bound <= serial.cost
+
+
+def test_the_order_of_the_chargers_changes_nothing(serial: Result) -> None:
+    shuffled = replace(PAPER, chargers=PAPER.chargers[::-1])
+    other = plan(shuffled)
+    assert other.cost == pytest.approx(serial.cost, rel=1e-5)
+    assert [s.charger for s in other.plan.stops] == [s.charger for s in serial.plan.stops]  # type: ignore[union-attr]
+
+
+def test_one_more_charger_is_never_worse(serial: Result) -> None:
+    spec = PAPER.chargers[2]
+    more = replace(spec, name="extra", position_km=352.0)
+    assert plan(replace(PAPER, chargers=(*PAPER.chargers, more))).cost <= serial.cost * (1 + 1e-4)
+
+
+def test_a_larger_heat_pump_is_never_worse() -> None:
+    costs = [plan(load_trip("paper-400km", {"vehicle.heat_pump_kw": p})).cost for p in (0, 1, 3)]
+    assert costs[0] >= costs[1] * (1 - 1e-4) >= costs[2] * (1 - 2e-4)
+
+
+def test_an_asked_gap_is_proved() -> None:
+    result = plan(PAPER, gap=0.002)
+    assert result.status is Status.OPTIMAL
+    assert result.gap <= 0.002 * (1 + 1e-9)
+    assert result.lower_bound <= result.transcribed_cost
+
+
+def test_no_time_at_all_still_gives_a_valid_answer() -> None:
+    result = plan(PAPER, time_limit_s=0.0)
+    assert result.interrupted == "time limit reached"
+    assert result.ledger.counts()["total"] == 8
+    assert result.status in (Status.UNKNOWN, Status.FEASIBLE)
+    assert result.lower_bound <= plan(PAPER).cost
+
+
+def test_ctrl_c_keeps_what_is_known() -> None:
+    calls: list[Progress] = []
+
+    def stop(step: Progress) -> None:
+        calls.append(step)
+        if math.isfinite(step.cost):
+            raise KeyboardInterrupt
+
+    result = plan(PAPER, progress=stop)
+    assert result.interrupted == "interrupted"
+    assert result.plan is not None and result.replay is not None and result.replay.feasible
+    assert result.lower_bound <= result.cost
+
+
+def test_progress_never_loses_a_plan() -> None:
+    costs: list[float] = []
+    plan(PAPER, progress=lambda step: costs.append(step.cost))
+    assert costs == sorted(costs, reverse=True) and math.isfinite(costs[-1])
+
+
+def infeasible(trip: Trip) -> Result:
+    result = plan(trip)
+    assert result.status is Status.INFEASIBLE and result.plan is None
+    assert result.ledger.counts()["infeasible"] == result.ledger.counts()["total"]
+    assert result.diagnosis is not None
+    return result
+
+
+def test_a_trip_out_of_reach_says_how_far_the_car_gets() -> None:
+    trip = small_trip()
+    found = infeasible(replace(trip, chargers=(), start_soc=0.25)).diagnosis
+    assert found is not None
+    assert 0.0 < found.reach_km < trip.route.length_km
+    assert found.missing_kwh > 0.0
+    assert any(remedy.startswith("a charger between") or "start.soc" in remedy
+               for remedy in found.remedies)  # fmt: skip
+
+
+def test_the_remedy_that_is_named_helps() -> None:
+    trip = replace(small_trip(), chargers=(), start_soc=0.25)
+    found = infeasible(trip).diagnosis
+    assert found is not None
+    wanted = [float(r.rsplit(" ", 1)[1]) for r in found.remedies if r.startswith("start.soc")]
+    assert wanted
+    assert plan(replace(trip, start_soc=min(wanted[0] + 0.02, 1.0))).plan is not None
+
+
+def test_a_start_above_the_largest_charge_is_legal() -> None:
+    """Charged full at home, at most 80 % on the way."""
+    trip = replace(small_trip(), soc_max=0.8, start_soc=0.9)
+    result = plan(trip)
+    assert result.plan is not None
+    assert all(stop.depart_soc <= 0.8 + 1e-6 for stop in result.plan.stops)
+
+
+@pytest.mark.parametrize("changes", [{"gap": 0.0}, {"gap": -1.0}, {"gap": math.nan}])
+def test_a_gap_that_is_none_is_refused(changes: dict[str, float]) -> None:
+    with pytest.raises(ValueError, match="gap must be above 0"):
+        plan(PAPER, **changes)
+
+
+def test_too_many_chargers_are_refused_at_once() -> None:
+    chargers = tuple(replace(PAPER.chargers[0], name=f"c{i}") for i in range(15))
+    with pytest.raises(ValueError, match="at most 14 chargers"):
+        plan(replace(PAPER, chargers=chargers))
