@@ -14,7 +14,7 @@ from enumerate.ledger import Ledger
 
 if TYPE_CHECKING:
     from enumerate.diagnose import Diagnosis
-    from relax.replay import Replay
+    from relax.driven import Replay
     from relax.report import PlanReport
 
 __all__ = ["Result", "Status"]

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from relax.lazy import export
 
 if TYPE_CHECKING:
+    from relax.driven import Replay
     from relax.errors import DomainError, EvrelaxError, InputError
     from relax.execute import Execution, execute
     from relax.instance import Instance, make_drive, make_instance
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
     from relax.plan import Controls, Trajectory
     from relax.plot import plot_case, save_plots
     from relax.refinement import Refined, RefineSettings, refine
-    from relax.replay import Replay, replay
+    from relax.replay import replay
     from relax.report import PlanReport
     from relax.simulate import idle_controls, simulate
     from relax.trip import Charger, Grid, Route, Trip
@@ -86,7 +87,7 @@ export(
         "PlanReport": "report",
         "RefineSettings": "refinement",
         "Refined": "refinement",
-        "Replay": "replay",
+        "Replay": "driven",
         "RoadLoad": "vehicle",
         "Route": "trip",
         "Table1": "maps",

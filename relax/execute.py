@@ -11,11 +11,12 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
+from relax.driven import Replay
 from relax.errors import DomainError
 from relax.instance import Instance
 from relax.plan import Controls, Trajectory
 from relax.refinement import Refined, RefineSettings, refine
-from relax.replay import Replay, replay
+from relax.replay import replay
 
 if TYPE_CHECKING:
     from relax.trip import Trip

@@ -37,6 +37,8 @@ GROW = 0.4
 """Share of the predicted gain above which the trust region grows."""
 LEAST_TRUST_K = 0.05
 """Trust region below which the search ends: it stands on a kink [K]."""
+MAX_RESTARTS = 1
+"""How often a search that ended on a kink is begun again from there."""
 LARGEST_TRUST_K = 16.0
 """Trust region beyond which it does not grow [K]."""
 LOSING = 2e-3
@@ -317,6 +319,7 @@ def refine(
         seconds += solution.solve_s
         return solution
 
+    restarts = MAX_RESTARTS
     while programs < settings.max_programs:
         drive = expand_drive(instance, now)
         cells = expand_cells(instance, now, kinks=bool(step.kinks)) if now.stops else None
@@ -352,6 +355,10 @@ def refine(
                 accepted = True
                 break
             trust = trust.scaled(0.3)
+        if not accepted and restarts and trust.temperature_k <= LEAST_TRUST_K:
+            # on a kink: once more with a wide region and without the old curvature
+            restarts, trust, multipliers = restarts - 1, TrustRegion(), None
+            continue
         if not accepted:
             break
         if gained > 1.25 * predicted:

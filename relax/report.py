@@ -18,7 +18,7 @@ from relax.instance import Instance
 from relax.plan import StopTrajectory, Trajectory
 
 if TYPE_CHECKING:
-    from relax.replay import Replay, ReplayStop
+    from relax.driven import Replay, ReplayStop
     from relax.trip import Trip
 
 __all__ = ["ChargeTrace", "Deviation", "DriveTrace", "PlanReport", "StopReport", "make_report"]

@@ -1,0 +1,296 @@
+"""Owns one driving step and one charging stop of the transcription, solved to rounding.
+
+Implicit midpoint in plain floats (a trip is a few hundred scalar equations;
+arrays would cost more than they save). Clips the controls as the car's own
+management would. Knows nothing of trips as a whole and of optimisation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from math import inf, sqrt
+
+import numpy as np
+
+from relax.errors import DomainError
+from relax.instance import HEATER_SHARE, LEAST_ROOM_KW, Drive, Instance, Stop
+from relax.plan import StopControls, StopTrajectory
+
+__all__ = ["Car", "StepResult", "charge", "drive_rows", "drive_step"]
+
+TEMPERATURE_TOLERANCE_K = 1e-9
+"""Change of the end temperature at which a step's implicit equation counts as solved [K]."""
+POWER_TOLERANCE_KW = 1e-6
+"""Change of the battery power at which a step counts as solved [kW]: it enters only through
+the midpoint energy at which resistance and limits are read."""
+REFUSED_TOLERANCE_KW = 1e-10
+"""Width at which the bisection of a refused recuperation ends [kW]."""
+MAX_ITERATIONS = 20
+"""Secant steps of one implicit equation before it is bracketed; 3 to 5 are usual."""
+
+
+def _pump_power(heat_kw: float, cop: float, droop: float) -> float:
+    """Scalar twin of ``physics.heat_pump_power`` (P4); ``inf`` if unreachable."""
+    ratio = heat_kw / cop
+    root = 1.0 - 4.0 * droop * ratio
+    return 2.0 * ratio / (1.0 + sqrt(root)) if root >= 0.0 else inf
+
+
+def _solve_implicit(phi: Callable[[float], float], guess: float) -> float:
+    """Solve T' = phi(T') by secant steps, and by bracketing where those do not settle.
+
+    Raises
+    ------
+    DomainError
+        No solution within 1000 K: the controls make no sense.
+    """
+    x0 = guess
+    f0 = phi(x0) - x0
+    x1 = x0 + f0
+    for _ in range(MAX_ITERATIONS):
+        f1 = phi(x1) - x1
+        if abs(f1) <= TEMPERATURE_TOLERANCE_K:
+            return x1
+        slope = (f1 - f0) / (x1 - x0)
+        step = -f1 / slope if slope < -0.1 else f1
+        x0, f0, x1 = x1, f1, x1 + step
+    lo = hi = guess
+    width = 1.0
+    while phi(lo) < lo or phi(hi) > hi:
+        if width > 1000.0:
+            raise DomainError("a charging cell or driving step has no end temperature")
+        lo, hi, width = guess - width, guess + width, 2.0 * width
+    while hi - lo > TEMPERATURE_TOLERANCE_K:
+        middle = 0.5 * (lo + hi)
+        lo, hi = (middle, hi) if phi(middle) > middle else (lo, middle)
+    return 0.5 * (lo + hi)
+
+
+class Car:
+    """The vehicle's maps and actuators as plain floats and functions of floats."""
+
+    def __init__(self, instance: Instance) -> None:
+        vehicle, pack = instance.vehicle, instance.vehicle.pack
+        self.resistance = pack.resistance_ohm.clamped()
+        self.voltage_squared = pack.voltage_squared.clamped()
+        self.cop = vehicle.heat_pump_cop.clamped()
+        self.charge_limit = pack.charge_limit_kw.clamped()
+        self.discharge_limit = pack.discharge_limit_kw.clamped()
+        self.capacity = pack.heat_capacity_kwh_per_k
+        self.heater_kw = vehicle.heater_kw
+        self.heater_eff = vehicle.heater_battery_efficiency
+        self.cabin_eff = vehicle.heater_cabin_efficiency
+        self.cooling_kw = vehicle.cooling_kw
+        self.cooling_cop = vehicle.cooling_cop
+        self.cooling_from = vehicle.cooling_from_c
+        self.pump_kw = vehicle.heat_pump_kw
+        self.droop = vehicle.heat_pump_droop_per_kw
+
+    def actuators(
+        self, temp: float, demand: float, heater: float, pump: float
+    ) -> tuple[float, float, float, float]:
+        """Clip heater and heat pump at one battery temperature.
+
+        Returns heater, heat pump, heat-pump heat and cabin heater power [kW].
+        """
+        # branches instead of min and max: this is the innermost call of every simulation
+        heat = 0.0
+        if pump > 0.0:
+            if pump > self.pump_kw:
+                pump = self.pump_kw
+            cop = self.cop(temp)
+            heat = cop * pump * (1.0 - self.droop * pump)
+            if heat > demand:
+                pump = _pump_power(demand, cop, self.droop)
+                heat = demand
+        else:
+            pump = 0.0
+        cabin = (demand - heat) / self.cabin_eff
+        room = self.heater_kw - cabin
+        if heater > room:
+            heater = room
+        return heater if heater > 0.0 else 0.0, pump, heat, cabin
+
+
+StepResult = tuple[float, float, float, float, float, float, float, float, float, float]
+
+
+def _refused(car: Car, energy: float, half_d: float, mid: float, power: float) -> float:
+    """Return the charging power that equals the limit at its own midpoint energy, by bisection.
+
+    Charging less lowers the midpoint energy and so, if at all, raises the limit:
+    there is one such power between the unlimited one and zero.
+    """
+    lo, hi = power, 0.0
+    while hi - lo > REFUSED_TOLERANCE_KW:
+        middle = 0.5 * (lo + hi)
+        if middle < -car.charge_limit(energy - half_d * middle, mid):
+            lo = middle
+        else:
+            hi = middle
+    return hi
+
+
+def drive_step(
+    car: Car,
+    row: tuple[float, ...],
+    energy: float,
+    temp: float,
+    heater_set: float,
+    cooling_set: float,
+    pump_set: float,
+    guess: float,
+    cap: float,
+) -> StepResult:
+    """Advance one driving step.
+
+    The heater is cut back where it would heat beyond ``cap``, cooling where it would
+    cool below the temperature from which it works.
+
+    Returns end temperature, power, loss, brake, heater, pump, pump heat, cabin heater,
+    cooling and the excess over the discharge limit.
+    """
+    d, base, ripple, q_ed, ambient, conductance, demand = row
+    half_d, scale = 0.5 * d, d / car.capacity
+    power, moved = base, 0.0
+    out: StepResult = (0.0,) * 10
+
+    def phi(end: float) -> float:
+        nonlocal power, moved, out
+        mid, before = 0.5 * (temp + end), power
+        heater, pump, heat, cabin = car.actuators(mid, demand, heater_set, pump_set)
+        e_mid = energy - half_d * power
+        r = car.resistance(mid) / car.voltage_squared(e_mid)
+        flow = q_ed - (heat - pump) + conductance * (ambient - mid)
+        cooling = cooling_set
+        if heater > 0.0 or cooling > 0.0:
+            load = base + heater + cooling + pump + cabin
+            end_free = temp + scale * (flow + r * (load * load + ripple))
+            heater = max(min(heater, (cap - end_free) / (scale * car.heater_eff)), 0.0)
+            load = base + heater + pump + cabin  # cooling's own load would overstate the loss
+            end_free = temp + scale * (flow + r * (load * load + ripple))
+            spare = end_free + scale * car.heater_eff * heater - car.cooling_from
+            cooling = max(min(cooling, spare / (scale * car.cooling_cop)), 0.0)
+            flow -= car.cooling_cop * cooling
+        load = base + heater + cooling + pump + cabin
+        total = load + r * ripple
+        root = 1.0 - 4.0 * r * total
+        power = 2.0 * total / (1.0 + sqrt(root)) if root > 0.0 else 2.0 * total
+        brake = 0.0
+        if power < 0.0 and power < -car.charge_limit(energy - half_d * power, mid):
+            power = _refused(car, energy, half_d, mid, power)
+            r = car.resistance(mid) / car.voltage_squared(energy - half_d * power)
+            brake = max(power - r * (power * power + ripple) - load, 0.0)
+        moved = abs(power - before)
+        loss = r * (power * power + ripple)
+        result = temp + scale * (flow + loss + car.heater_eff * heater)
+        out = (result, power, loss, brake, heater, pump, heat, cabin, cooling, 0.0)
+        return result
+
+    end = _solve_implicit(phi, guess)
+    for _ in range(MAX_ITERATIONS):  # the temperature may settle before the power does
+        if moved <= POWER_TOLERANCE_KW:
+            break
+        end = _solve_implicit(phi, end)
+    over = out[1] - car.discharge_limit(energy - half_d * power, 0.5 * (temp + end))
+    return (end, *out[1:9], over)
+
+
+def drive_rows(drive: Drive) -> list[tuple[float, ...]]:
+    """Return what ``drive_step`` needs of every step, as plain floats."""
+    columns = (
+        drive.duration_h,
+        drive.base_kw,
+        drive.ripple_kw2,
+        drive.drivetrain_heat_kw,
+        drive.ambient_c,
+        drive.heat_loss_kw_per_k,
+        drive.cabin_heat_kw,
+    )
+    return list(zip(*(c.tolist() for c in columns), strict=True))
+
+
+def charge(
+    car: Car,
+    stop: Stop,
+    controls: StopControls,
+    energy: float,
+    temp: float,
+    caps: Sequence[float],
+) -> tuple[StopTrajectory, float]:
+    """Charge at one stop from the state after the detour in; heaters as in ``drive_step``.
+
+    Also returns by how much the charger's power would be exceeded [kW].
+    """
+    cells = controls.power_kw.size
+    e = controls.energy_kwh / cells
+    rows: list[tuple[float, ...]] = []
+    temps = [temp]
+    grid_limit = stop.grid_limit_kw.clamped()
+    demand, base = stop.cabin_heat_kw, stop.base_kw
+    settings = zip(
+        controls.power_kw.tolist(),
+        controls.heater_kw.tolist(),
+        controls.cooling_kw.tolist(),
+        controls.heat_pump_kw.tolist(),
+        strict=True,
+    )
+    rise = excess = 0.0
+    for j, (power_set, heater_set, cooling_set, pump_set) in enumerate(settings):
+        e_mid = energy + (j + 0.5) * e
+        voltage_squared = car.voltage_squared(e_mid)
+        grid_max = grid_limit(e_mid)
+        cooling_set = min(cooling_set, car.cooling_kw)
+        start, cap = temps[-1], caps[j]
+        row: tuple[float, ...] = ()
+
+        def phi(
+            end: float,
+            start: float = start,
+            e_mid: float = e_mid,
+            voltage_squared: float = voltage_squared,
+            grid_max: float = grid_max,
+            cooling_set: float = cooling_set,
+            power_set: float = power_set,
+            heater_set: float = heater_set,
+            pump_set: float = pump_set,
+            cap: float = cap,
+        ) -> float:
+            nonlocal row
+            mid = 0.5 * (start + end)
+            heater, pump, heat, cabin = car.actuators(mid, demand, heater_set, pump_set)
+            r = car.resistance(mid) / voltage_squared
+            limit = car.charge_limit(e_mid, mid)
+            power = min(power_set, limit)
+            free = grid_max - base - cabin - pump - cooling_set
+            heater = max(min(heater, HEATER_SHARE * free), 0.0)
+            room = max(free - heater, LEAST_ROOM_KW)
+            power = min(power, 2.0 * room / (1.0 + sqrt(1.0 + 4.0 * r * room)))
+            dwell = e / power
+            loss = r * power * power
+            flow = loss - (heat - pump) + stop.heat_loss_kw_per_k * (stop.ambient_c - mid)
+            cooling = cooling_set
+            if heater > 0.0 or cooling > 0.0:
+                rate = car.capacity / dwell
+                heater = max(min(heater, ((cap - start) * rate - flow) / car.heater_eff), 0.0)
+                spare = flow + car.heater_eff * heater + (start - car.cooling_from) * rate
+                cooling = max(min(cooling, spare / car.cooling_cop), 0.0)
+            flow += car.heater_eff * heater - car.cooling_cop * cooling
+            grid = power + loss + base + heater + cooling + pump + cabin
+            row = (
+                dwell, power, grid * dwell, loss * dwell, heater, cooling, pump, heat, cabin, limit,
+            )  # fmt: skip
+            return start + flow * dwell / car.capacity
+
+        end = _solve_implicit(phi, start + rise)
+        rise = end - start
+        temps.append(end)
+        excess = max(excess, row[2] / row[0] - grid_max)
+        rows.append(row)
+    columns = [np.array(c, dtype=np.float64) for c in zip(*rows, strict=True)]
+    done = StopTrajectory(
+        np.asarray(energy + e * np.arange(cells + 1), dtype=np.float64),
+        np.array(temps),
+        *columns,
+    )
+    return done, excess
