@@ -28,9 +28,9 @@ from tqdm import tqdm
 from benchmarks.machine import processor, versions
 from relax import execute, load_trip, make_instance, refine, replay
 from relax.bound import relax_subset
+from relax.driven import Replay
 from relax.instance import Instance
 from relax.plan import Trajectory
-from relax.driven import Replay
 from relax.starts import best_start
 from relax.trip import Grid, Trip
 
