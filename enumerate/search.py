@@ -270,6 +270,17 @@ class _Search:
                 reason=f"plan refused in replay: {done.reason}",
             )
             self.nodes[subset] = replace(best, row=row)
+            self._reopen()
+
+    def _reopen(self) -> None:
+        """Look again at the subsets that were closed against a plan which has been refused."""
+        closed = [n for n in self.nodes.values() if n.row.outcome is Outcome.BOUNDED]
+        for node in closed:
+            row = replace(node.row, outcome=Outcome.UNPROVED, reason="")
+            self.nodes[row.subset] = replace(node, row=row)
+        again = [n for n in self.open() if n.refined is None and not self._close(n)]
+        again = [n for n in again if n.row.subset in {c.row.subset for c in closed}]
+        self.run(_refine, again, "refine")
 
 
 def plan(

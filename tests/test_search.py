@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 
@@ -155,3 +156,26 @@ def test_too_many_chargers_are_refused_at_once() -> None:
     chargers = tuple(replace(PAPER.chargers[0], name=f"c{i}") for i in range(15))
     with pytest.raises(ValueError, match="at most 14 chargers"):
         plan(replace(PAPER, chargers=chargers))
+
+
+def test_a_refused_plan_reopens_what_was_closed_against_it(
+    serial: Result, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The best subset's plan does not hold: the next best counts, though its bound was above."""
+    full = plan(PAPER, prune=False)
+    assert serial.plan is not None
+    best = min(full.ledger.rows, key=lambda r: r.cost)
+    others = sorted(r.cost for r in full.ledger.rows if r.subset != best.subset)
+    search = sys.modules["enumerate.search"]
+    honest = search.execute  # type: ignore[attr-defined]
+
+    def refuse(trip, instance, *rest):  # type: ignore[no-untyped-def]
+        done = honest(trip, instance, *rest)
+        return replace(done, reason="made up") if instance.subset == best.subset else done
+
+    monkeypatch.setattr(search, "execute", refuse)
+    result = plan(PAPER)
+    assert result.transcribed_cost <= others[0] * (1.0 + 3e-3)
+    row = next(r for r in result.ledger.rows if r.subset == best.subset)
+    assert row.outcome is Outcome.UNPROVED and "made up" in row.reason
+    assert result.lower_bound <= best.cost
