@@ -125,6 +125,14 @@ def _other_limit(trip: Trip, instance: Instance, dwell: list[float]) -> Diagnosi
         for s, hours in zip(instance.stops, dwell, strict=True)
         if hours > s.max_dwell_h
     ]
+    late = sum(dwell) > instance.total_dwell_h
+    if late:
+        slow.append(f"limits.stop_time_h above {trip.stop_time_h:g}")
     reason = "the energy of the chargers would suffice, but another limit stands in the way: "
-    reason += "the longest dwell" if slow else "temperature, discharge power or the least energy"
+    if late:
+        reason += "the time for charging and detours"
+    elif slow:
+        reason += "the longest dwell"
+    else:
+        reason += "temperature, discharge power or the least energy"
     return Diagnosis(trip.route.length_km, 0.0, reason, tuple(slow))

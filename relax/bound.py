@@ -14,6 +14,7 @@ import numpy as np
 from relax.box import Box
 from relax.certify import Infeasible, LowerBound, certify_infeasible, certify_lower_bound
 from relax.instance import Instance
+from relax.proof import Step
 from relax.reach import make_box
 from relax.relaxation import build_relaxation
 from relax.relaxed_point import RelaxedPoint, unpack_point
@@ -40,6 +41,8 @@ class RelaxedSubset:
         Where the solver stopped, if it is usable as a start.
     infeasible : bool
         Proved that no control is feasible.
+    steps : tuple of Step
+        The proof: at most one dual vector.
     build_s, solve_s : float
         Time for box, rows and certificate, and for the solver [s].
     """
@@ -48,6 +51,7 @@ class RelaxedSubset:
     lower_bound: float | None
     point: RelaxedPoint | None
     infeasible: bool
+    steps: tuple[Step, ...]
     build_s: float
     solve_s: float
 
@@ -84,7 +88,7 @@ def relax_subset(
     box = make_box(instance) if box is None else box
     if box.empty:
         seconds = time.perf_counter() - begin
-        return RelaxedSubset(SolveStatus.INFEASIBLE, None, None, True, seconds, 0.0)
+        return RelaxedSubset(SolveStatus.INFEASIBLE, None, None, True, (), seconds, 0.0)
     program = build_relaxation(instance, box)
     build_s = time.perf_counter() - begin
     solution = solve_cone(program, settings or ROOT_SETTINGS)
@@ -100,6 +104,7 @@ def relax_subset(
         lower_bound=bound.value if isinstance(bound, LowerBound) and not infeasible else None,
         point=point,
         infeasible=infeasible,
+        steps=(Step("relax", solution.z, solution.status is SolveStatus.INFEASIBLE),),
         build_s=build_s + time.perf_counter() - begin,
         solve_s=solution.solve_s,
     )

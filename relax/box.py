@@ -41,8 +41,15 @@ class Box:
         Dwell of every cell [h].
     stay : Interval, shape (S,)
         Dwell of every stop [h].
-    step_stop : ndarray of int, shape (n,)
-        The stop right before each step, -1 if there is none.
+    after, after_temperature : Interval, shape (S,)
+        Energy and temperature with which the car drives on: those of a used stop's end,
+        or, past an optional stop, those before it [kWh, degrees C].
+    optional : ndarray of bool, shape (S,)
+        Stops that may be left out; their other intervals hold if they are used.
+    node : ndarray of int, shape (S,)
+        Node of every stop, ascending.
+    count : tuple of int
+        Least and largest number of used stops.
     """
 
     energy: Interval
@@ -54,7 +61,19 @@ class Box:
     stop_temperature: Interval
     dwell: Interval
     stay: Interval
-    step_stop: npt.NDArray[np.int64]
+    after: Interval
+    after_temperature: Interval
+    optional: npt.NDArray[np.bool_]
+    node: npt.NDArray[np.int64]
+    count: tuple[int, int]
+
+    @cached_property
+    def step_stop(self) -> npt.NDArray[np.int64]:
+        """The stop right before each step, -1 if there is none, shape (n,)."""
+        out = np.full(self.power.lo.size, -1, dtype=np.int64)
+        inner = self.node < out.size
+        out[self.node[inner]] = np.flatnonzero(inner)  # of several at a node the last counts
+        return out
 
     def _start(self, node: Array, stop: Array) -> Array:
         out = node[:-1].copy()
@@ -66,16 +85,15 @@ class Box:
     def start_energy(self) -> Interval:
         """Energy at the start of every step, after a stop there, shape (n,) [kWh]."""
         return Interval(
-            self._start(self.energy.lo, self.leave.lo), self._start(self.energy.hi, self.leave.hi)
+            self._start(self.energy.lo, self.after.lo), self._start(self.energy.hi, self.after.hi)
         )
 
     @cached_property
     def start_temperature(self) -> Interval:
         """Temperature at the start of every step, shape (n,) [degrees C]."""
-        stop = self.stop_temperature
+        after = self.after_temperature
         return Interval(
-            self._start(self.temperature.lo, stop.lo[:, -1]),
-            self._start(self.temperature.hi, stop.hi[:, -1]),
+            self._start(self.temperature.lo, after.lo), self._start(self.temperature.hi, after.hi)
         )
 
     @cached_property
@@ -125,11 +143,26 @@ class Box:
     @cached_property
     def empty(self) -> str | None:
         """Name of a quantity whose interval is empty: proof that nothing is feasible; or None."""
-        for name in (
-            "energy", "temperature", "power", "charge", "arrive", "leave",
-            "stop_temperature", "dwell", "stay",
-        ):  # fmt: skip
+        for name in ("energy", "temperature", "power", "after", "after_temperature"):
             interval: Interval = getattr(self, name)
             if np.any(interval.lo > interval.hi + EMPTY_MARGIN):
                 return name
+        for name, unusable in self._unusable.items():
+            if np.any(unusable & ~self.optional):
+                return name
         return None
+
+    @cached_property
+    def _unusable(self) -> dict[str, npt.NDArray[np.bool_]]:
+        """Stops with an empty interval, by its name; shape (S,) each."""
+        out: dict[str, npt.NDArray[np.bool_]] = {}
+        for name in ("charge", "arrive", "leave", "stop_temperature", "dwell", "stay"):
+            interval: Interval = getattr(self, name)
+            empty = interval.lo > interval.hi + EMPTY_MARGIN
+            out[name] = np.asarray(empty.any(axis=1) if empty.ndim == 2 else empty)
+        return out
+
+    @property
+    def unusable(self) -> npt.NDArray[np.bool_]:
+        """Optional stops that no feasible plan uses, shape (S,): an interval of theirs is empty."""
+        return np.asarray(np.any([self.optional & x for x in self._unusable.values()], axis=0))

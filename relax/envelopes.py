@@ -285,7 +285,7 @@ def envelope_pump_heat_under(
     droop: float,
     power: Interval,
     temp: Interval,
-    at: tuple[float, ...] = (0.5,),
+    at: tuple[float, ...] = (0.3, 0.7),
 ) -> Array:
     """Planes in (hp, T) below h = cop(T) * hp * (1 - droop * hp), shape (1 + m, 3, n).
 

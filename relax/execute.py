@@ -16,7 +16,7 @@ from relax.errors import DomainError
 from relax.instance import Instance
 from relax.plan import Controls, Trajectory
 from relax.refinement import Refined, RefineSettings, refine
-from relax.replay import replay
+from relax.replay import RULE_STOP_TIME, replay
 
 if TYPE_CHECKING:
     from relax.trip import Trip
@@ -105,6 +105,8 @@ def _tightened(instance: Instance, driven: Replay) -> Instance:
                     for s in instance.stops
                 ),
             )
+        elif violation.rule == RULE_STOP_TIME:
+            instance = replace(instance, total_dwell_h=instance.total_dwell_h - amount)
         elif violation.unit == "h":
             stops = tuple(replace(s, max_dwell_h=s.max_dwell_h - amount) for s in instance.stops)
             instance = replace(instance, stops=stops)

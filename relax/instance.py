@@ -121,6 +121,8 @@ class Stop:
         Ambient temperature and conductance while parked.
     arrive_min_kwh, leave_min_kwh : float
         Least internal energy after the detour in and after the detour out [kWh].
+    optional : bool
+        Not decided yet whether it is used: for bounds of many subsets at once.
     """
 
     charger: int
@@ -141,11 +143,14 @@ class Stop:
     heat_loss_kw_per_k: float
     arrive_min_kwh: float
     leave_min_kwh: float
+    optional: bool = False
 
 
 @dataclass(frozen=True)
 class Instance:
-    """One subset on one grid: everything a program needs, and nothing to decide where to stop.
+    """One subset on one grid, or with optional stops a family of subsets, for programs.
+
+    Simulation and refinement need a fixed subset; bounds also take optional stops.
 
     Parameters
     ----------
@@ -168,6 +173,9 @@ class Instance:
         Largest internal energy after charging [kWh].
     temperature_min_c, temperature_max_c : float
         Limits of the battery temperature [degrees C].
+    total_dwell_h : float
+        Most dwell of all stops together: what the trip's limit of charging and detour
+        time leaves after the detours, below 0 if these alone exceed it [h].
     """
 
     vehicle: Vehicle
@@ -181,6 +189,7 @@ class Instance:
     energy_max_kwh: float
     temperature_min_c: float
     temperature_max_c: float
+    total_dwell_h: float = math.inf
 
     @property
     def ceiling_kwh(self) -> float:
@@ -189,13 +198,18 @@ class Instance:
 
     @property
     def subset(self) -> tuple[int, ...]:
-        """Indices of the used chargers, in driving order."""
-        return tuple(stop.charger for stop in self.stops)
+        """Indices of the used chargers, in driving order; optional ones are left out."""
+        return tuple(stop.charger for stop in self.stops if not stop.optional)
+
+    @property
+    def optional(self) -> npt.NDArray[np.bool_]:
+        """Which stops are optional, shape (S,)."""
+        return np.array([stop.optional for stop in self.stops], dtype=np.bool_)
 
     @property
     def fixed_cost(self) -> float:
         """Cost that no control changes: detour time and stop penalties [currency]."""
-        return sum(stop.fixed_cost for stop in self.stops)
+        return sum(stop.fixed_cost for stop in self.stops if not stop.optional)
 
 
 def _step_borders(trip: Trip, step_km: float) -> Array:
@@ -307,9 +321,13 @@ def make_stop(trip: Trip, drive: Drive, charger: int) -> Stop:
 
 
 def make_instance(
-    trip: Trip, subset: tuple[int, ...], grid: Grid | None = None, drive: Drive | None = None
+    trip: Trip,
+    subset: tuple[int, ...],
+    grid: Grid | None = None,
+    drive: Drive | None = None,
+    undecided: tuple[int, ...] = (),
 ) -> Instance:
-    """Transcribe a trip for a fixed subset of chargers.
+    """Transcribe a trip for a fixed subset of chargers, or for all subsets between two.
 
     Parameters
     ----------
@@ -321,6 +339,8 @@ def make_instance(
         Steps and cells; the trip's own by default.
     drive : Drive, optional
         Steps made before with the same grid: all subsets share them.
+    undecided : tuple of int
+        Further chargers that may be used or not: optional stops.
 
     Returns
     -------
@@ -329,13 +349,17 @@ def make_instance(
     """
     grid = grid or trip.grid
     drive = drive or make_drive(trip, grid.step_km)
-    stops = sorted((make_stop(trip, drive, i) for i in subset), key=lambda s: (s.node, s.charger))
+    used = [make_stop(trip, drive, i) for i in subset]
+    maybe = [replace(make_stop(trip, drive, i), optional=True) for i in undecided]
+    stops = sorted([*used, *maybe], key=lambda s: (s.node, s.charger))
     pack = trip.vehicle.pack
     energy_min = drive.energy_min_kwh
     end_min = float(energy_min[-1])
     if stops and stops[-1].node == drive.n_steps:
         energy_min = energy_min.copy()
-        energy_min[-1] = stops[-1].arrive_min_kwh
+        energy_min[-1] = min(s.arrive_min_kwh for s in stops if s.node == drive.n_steps)
+        if all(s.optional for s in stops if s.node == drive.n_steps):
+            energy_min[-1] = min(float(energy_min[-1]), end_min)
         stops[-1] = replace(stops[-1], leave_min_kwh=end_min)
     return Instance(
         vehicle=trip.vehicle,
@@ -349,4 +373,5 @@ def make_instance(
         energy_max_kwh=float(pack.energy_kwh(trip.soc_max)),
         temperature_min_c=pack.temperature_min_c,
         temperature_max_c=pack.temperature_max_c,
+        total_dwell_h=trip.stop_time_h - sum(s.detour_h for s in stops if not s.optional),
     )

@@ -117,7 +117,8 @@ class Trajectory:
         Objective, fixed cost included [currency].
     violation : ndarray, shape (4,)
         Largest violation of the energy limits [kWh], the temperature limits [K], the
-        discharge limit [kW] and the longest dwell [h]; zeros: feasible.
+        discharge limit [kW] and the longest dwells, of a stop and of all together [h];
+        zeros: feasible.
     """
 
     energy_kwh: Array

@@ -188,25 +188,40 @@ class Assembly:
             self._col[block].append(_spread(columns, shape, np.int64))
             self._val[block].append(_spread(values, shape, np.float64))
 
-    def _linear(self, block: int, name: str, rhs: npt.ArrayLike, terms: Sequence[Term]) -> None:
+    def _linear(
+        self, block: int, name: str, rhs: npt.ArrayLike, terms: Sequence[Term], unit: Index | None
+    ) -> None:
         b = np.asarray(rhs, dtype=np.float64)
         if b.size == 0:
             return
+        if unit is not None and (unit >= 0).any():
+            columns = np.broadcast_to(unit, b.shape)
+            terms = [*terms, (columns, -b)]
+            b = np.where(columns >= 0, 0.0, b)
         begin = self._count[block]
         self._count[block] += b.size
         self._names.append((name, block, begin, b.size))
         self._rhs[block].append(b.ravel())
         self._terms(block, np.arange(begin, begin + b.size), b.shape, terms)
 
-    def equal(self, name: str, rhs: npt.ArrayLike, *terms: Term) -> None:
-        """Add rows sum of terms = rhs."""
-        self._linear(0, name, rhs, terms)
+    def equal(self, name: str, rhs: npt.ArrayLike, *terms: Term, unit: Index | None = None) -> None:
+        """Add rows sum of terms = rhs * unit.
 
-    def less(self, name: str, rhs: npt.ArrayLike, *terms: Term) -> None:
-        """Add rows sum of terms <= rhs."""
-        self._linear(1, name, rhs, terms)
+        ``unit`` are columns of variables that take the place of the number 1, -1 for the
+        number itself, broadcast to the rows: so a row becomes its own perspective.
+        """
+        self._linear(0, name, rhs, terms, unit)
 
-    def cone(self, name: str, *components: tuple[npt.ArrayLike, Sequence[Term]]) -> None:
+    def less(self, name: str, rhs: npt.ArrayLike, *terms: Term, unit: Index | None = None) -> None:
+        """Add rows sum of terms <= rhs * unit."""
+        self._linear(1, name, rhs, terms, unit)
+
+    def cone(
+        self,
+        name: str,
+        *components: tuple[npt.ArrayLike, Sequence[Term]],
+        unit: Index | None = None,
+    ) -> None:
         """Add second-order cones s_0 >= |(s_1, ...)|.
 
         Parameters
@@ -215,6 +230,8 @@ class Assembly:
             Unique name.
         *components : pair of (constant, terms)
             Affine expressions s_0, s_1, ..., each of shape (k,) for k cones.
+        unit : ndarray of int, shape (k,), optional
+            Columns that take the place of the number 1, as in ``equal``.
         """
         size = len(components)
         k = np.asarray(components[0][0]).size
@@ -227,6 +244,9 @@ class Assembly:
         constants = np.empty((k, size))
         for i, (constant, terms) in enumerate(components):
             constants[:, i] = constant
+            if unit is not None and (unit >= 0).any():
+                terms = [*terms, (unit, constants[:, i].copy())]
+                constants[unit >= 0, i] = 0.0
             row = begin + i + size * np.arange(k)
             self._terms(2, row, (k,), [(c, -np.asarray(v, dtype=np.float64)) for c, v in terms])
         self._rhs[2].append(constants.ravel())

@@ -373,6 +373,10 @@ class QuadraticStep(StepLayout):
         values["charged_trust_min"] = ((-1.0,), trust.energy_kwh)
         ones = (1.0,) * instance.cells
         values["dwell_max"] = ((*ones, -1.0), longest - MARGIN_H - dwell)
+        if np.isfinite(instance.total_dwell_h):
+            every = (1.0,) * (instance.cells * len(stops))
+            spare = instance.total_dwell_h - MARGIN_H - float(dwell.sum())
+            values["stop_time_max"] = ((*every, -1.0), spare)
         # the occupancy column is the occupied time itself, not a change
         values["occupancy_min"] = ((-1.0,), 0.0)
         values["occupancy"] = ((*ones, -1.0), free - dwell)
@@ -383,8 +387,8 @@ class QuadraticStep(StepLayout):
         """Return the program with its limits shifted by what the linear model missed.
 
         Second-order correction: the step ``x`` was predicted to reach a state and
-        reached another one; the limits of energy and temperature are moved by the
-        difference, so the next step lands on them.
+        reached another one; the limits of energy, temperature and dwell are moved by
+        the difference, so the next step lands on them.
 
         Parameters
         ----------
@@ -410,4 +414,9 @@ class QuadraticStep(StepLayout):
             arrive = np.array([s.energy_kwh[0] for s in then.stops])
             arrive -= np.array([s.energy_kwh[0] for s in now.stops])
             b[self.rows.slices["arrive_min"]] += arrive - x[self.arrive_energy]
+            dwell = np.concatenate([s.dwell_h for s in then.stops])
+            dwell -= np.concatenate([s.dwell_h for s in now.stops]) + x[self.dwell]
+            b[self.rows.slices["dwell_max"]] -= dwell.reshape(arrive.size, -1).sum(axis=1)
+            if "stop_time_max" in self.rows.slices:
+                b[self.rows.slices["stop_time_max"]] -= dwell.sum()
         return replace(program, b=b)

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from relax.box import Box
 from relax.instance import MIN_CHARGE_KWH, Instance
-from relax.intervals import Interval, range1, range2
+from relax.intervals import EMPTY_MARGIN, Interval, range1, range2
 from relax.physics import battery_power, heat_pump_power
 
 __all__ = ["COOLING_SLACK_K", "make_box", "propagate", "pump_limits"]
@@ -134,13 +134,15 @@ def _energies(instance: Instance, box: Box, power: Interval, charge_hi: Array) -
     leave = Interval(box.leave.lo.copy(), box.leave.hi.copy())
     charge = Interval(box.charge.lo.copy(), np.minimum(box.charge.hi, charge_hi))
     used_lo, used_hi = drive.duration_h * power.lo, drive.duration_h * power.hi
+    after = Interval(box.after.lo.copy(), box.after.hi.copy())
+    usable = ~box.unusable
     # segment i: its start (after stop i - 1), then the arrivals at nodes a + 1 .. b
     segments: list[Interval] = []
     for i in range(len(stops) + 1):
         a, b = borders[i], borders[i + 1]
         first = Interval(energy.lo[:1], energy.hi[:1])
         if i:
-            first = Interval(leave.lo[i - 1 : i], leave.hi[i - 1 : i])
+            first = Interval(after.lo[i - 1 : i], after.hi[i - 1 : i])
         lo = np.concatenate([first.lo, energy.lo[a + 1 : b + 1]])
         hi = np.concatenate([first.hi, energy.hi[a + 1 : b + 1]])
         lo = -_least(-lo[0], -lo[1:], -used_hi[a:b])
@@ -154,6 +156,12 @@ def _energies(instance: Instance, box: Box, power: Interval, charge_hi: Array) -
             out = stop.detour_out_kwh
             leave.lo[i] = max(leave.lo[i], arrive.lo[i] + charge.lo[i] - out)
             leave.hi[i] = min(leave.hi[i], arrive.hi[i] + charge.hi[i] - out)
+            low, high = leave.lo[i], leave.hi[i]
+            if stop.optional:
+                usable[i] &= all(x.lo[i] <= x.hi[i] + EMPTY_MARGIN for x in (arrive, charge, leave))
+                low = min(low, lo[-1]) if usable[i] else lo[-1]
+                high = max(high, hi[-1]) if usable[i] else hi[-1]
+            after.lo[i], after.hi[i] = max(after.lo[i], low), min(after.hi[i], high)
     for i in range(len(stops), -1, -1):
         a, b = borders[i], borders[i + 1]
         lo, hi = segments[i].lo, segments[i].hi
@@ -164,20 +172,25 @@ def _energies(instance: Instance, box: Box, power: Interval, charge_hi: Array) -
             energy.lo[0], energy.hi[0] = lo[0], hi[0]
             break
         j, stop = i - 1, stops[i - 1]
-        leave.lo[j], leave.hi[j] = max(leave.lo[j], lo[0]), min(leave.hi[j], hi[0])
+        after.lo[j], after.hi[j] = max(after.lo[j], lo[0]), min(after.hi[j], hi[0])
+        leave.lo[j], leave.hi[j] = max(leave.lo[j], after.lo[j]), min(leave.hi[j], after.hi[j])
         full_lo, full_hi = leave.lo[j] + stop.detour_out_kwh, leave.hi[j] + stop.detour_out_kwh
         charge.lo[j] = max(charge.lo[j], full_lo - arrive.hi[j])
         charge.hi[j] = min(charge.hi[j], full_hi - arrive.lo[j])
         arrive.lo[j] = max(arrive.lo[j], full_lo - charge.hi[j])
         arrive.hi[j] = min(arrive.hi[j], full_hi - charge.lo[j])
         before = segments[j]
-        before.lo[-1] = max(before.lo[-1], arrive.lo[j] + stop.detour_in_kwh)
-        before.hi[-1] = min(before.hi[-1], arrive.hi[j] + stop.detour_in_kwh)
+        low, high = arrive.lo[j] + stop.detour_in_kwh, arrive.hi[j] + stop.detour_in_kwh
+        if stop.optional:
+            low = min(low, after.lo[j]) if usable[j] else after.lo[j]
+            high = max(high, after.hi[j]) if usable[j] else after.hi[j]
+        before.lo[-1], before.hi[-1] = max(before.lo[-1], low), min(before.hi[-1], high)
     return {
         "energy": energy.outward(),
         "arrive": arrive.outward(),
         "leave": leave.outward(),
         "charge": charge.outward(),
+        "after": after.outward(),
     }
 
 
@@ -203,6 +216,8 @@ def _temperatures(
         cooled.tolist(),
         floor,
     )
+    after = Interval(box.after_temperature.lo.copy(), box.after_temperature.hi.copy())
+    usable = ~box.unusable
     t0, t1 = float(node.lo[0]), float(node.hi[0])
     drifts = [_stop_drift(instance, box, i, cell_power[i]) for i in range(len(stops))]
     for i in range(len(stops) + 1):
@@ -215,7 +230,12 @@ def _temperatures(
             cell.lo[i, 0], cell.hi[i, 0] = max(cell.lo[i, 0], t0), min(cell.hi[i, 0], t1)
             cell.lo[i, 1:] = np.maximum(cell.lo[i, 1:], min(t0, ambient, floor) - cold)
             cell.hi[i, 1:] = np.minimum(cell.hi[i, 1:], max(t1, ambient) + warm)
-            t0, t1 = float(cell.lo[i, -1]), float(cell.hi[i, -1])
+            low, high = float(cell.lo[i, -1]), float(cell.hi[i, -1])
+            if stops[i].optional:
+                low = min(low, t0) if usable[i] else t0
+                high = max(high, t1) if usable[i] else t1
+            after.lo[i] = t0 = max(float(after.lo[i]), low)
+            after.hi[i] = t1 = min(float(after.hi[i]), high)
     t0, t1 = -np.inf, np.inf  # after a stop at the destination nothing is known
     for i in range(len(stops), -1, -1):
         a, b = borders[i], borders[i + 1]
@@ -228,14 +248,24 @@ def _temperatures(
             cold, warm = drifts[i - 1]
             ambient = stops[i - 1].ambient_c
             last = cell.lo[i - 1], cell.hi[i - 1]
+            after.lo[i - 1] = t0 = max(float(after.lo[i - 1]), t0)
+            after.hi[i - 1] = t1 = min(float(after.hi[i - 1]), t1)
             last[0][-1], last[1][-1] = max(last[0][-1], t0), min(last[1][-1], t1)
             # the stop warms by at most ``warm`` unless ambient does
             if last[0][-1] - warm > ambient:
                 last[0][:-1] = np.maximum(last[0][:-1], last[0][-1] - warm)
             if last[1][-1] + cold < min(ambient, floor):
                 last[1][:-1] = np.minimum(last[1][:-1], last[1][-1] + cold)
-            t0, t1 = float(last[0][0]), float(last[1][0])
-    return {"temperature": node.outward(), "stop_temperature": cell.outward()}
+            low, high = float(last[0][0]), float(last[1][0])
+            if stops[i - 1].optional:
+                low = min(low, t0) if usable[i - 1] else t0
+                high = max(high, t1) if usable[i - 1] else t1
+            t0, t1 = low, high
+    return {
+        "temperature": node.outward(),
+        "stop_temperature": cell.outward(),
+        "after_temperature": after.outward(),
+    }
 
 
 class _Steps:
@@ -338,6 +368,8 @@ def propagate(instance: Instance, box: Box) -> Box:
     dwell, cell_power = _stop_dwell(instance, box)
     charge_hi = instance.cells * box.stay.hi / (1.0 / cell_power).sum(axis=1)
     stay = box.stay.meet(dwell.lo.sum(axis=1), dwell.hi.sum(axis=1))
+    sure = np.where(instance.optional, 0.0, stay.lo)
+    stay = stay.meet(stay.lo, instance.total_dwell_h - sure.sum() + sure)
     return replace(
         box,
         power=power,
@@ -371,30 +403,35 @@ def make_box(instance: Instance) -> Box:
     e_hi, w = instance.energy_max_kwh, MIN_CHARGE_KWH
     t_lo, t_hi = instance.temperature_min_c, instance.temperature_max_c
     start, temp = instance.start_energy_kwh, instance.start_temperature_c
-    step_stop = np.full(n, -1, dtype=np.int64)
-    for i, stop in enumerate(instance.stops):  # of several at one node the last one counts
-        if stop.node < n:
-            step_stop[stop.node] = i
     energy = Interval(instance.energy_min_kwh.copy(), np.full(n + 1, instance.ceiling_kwh))
     energy.lo[0] = max(energy.lo[0], start)
     energy.hi[0] = min(energy.hi[0], start)
     temperature = Interval(np.full(n + 1, t_lo), np.full(n + 1, t_hi))
     temperature.lo[0], temperature.hi[0] = max(t_lo, temp), min(t_hi, temp)
     least = np.array([s.arrive_min_kwh for s in instance.stops])
-    after = np.array([s.leave_min_kwh for s in instance.stops])
+    leave = np.array([s.leave_min_kwh for s in instance.stops])
+    # past an optional stop the limits of its node hold, at the end those of the end
+    node = np.array([s.node for s in instance.stops], dtype=np.int64)
+    after = np.where(instance.optional, np.minimum(instance.energy_min_kwh[node], leave), leave)
+    if S and node[-1] == n:
+        after[-1] = instance.end_energy_min_kwh
     out = np.array([s.detour_out_kwh for s in instance.stops])
-    longest = np.array([s.max_dwell_h for s in instance.stops])
+    longest = np.array([min(s.max_dwell_h, instance.total_dwell_h) for s in instance.stops])
     box = Box(
         energy=energy,
         temperature=temperature,
         power=Interval(np.full(n, -np.inf), np.full(n, np.inf)),
         charge=Interval(np.full(S, w), e_hi - least),
         arrive=Interval(least, np.full(S, e_hi - w)),
-        leave=Interval(after, e_hi - out),
+        leave=Interval(leave, e_hi - out),
         stop_temperature=Interval(np.full((S, K + 1), t_lo), np.full((S, K + 1), t_hi)),
         dwell=Interval(np.zeros((S, K)), np.broadcast_to(longest[:, None], (S, K)).copy()),
         stay=Interval(np.zeros(S), longest),
-        step_stop=step_stop,
+        after=Interval(after, np.where(instance.optional, instance.ceiling_kwh, e_hi - out)),
+        after_temperature=Interval(np.full(S, t_lo), np.full(S, t_hi)),
+        optional=instance.optional,
+        node=node,
+        count=(S - int(instance.optional.sum()), S),
     )
     for _ in range(ROUNDS):
         if box.empty:

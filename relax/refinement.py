@@ -114,12 +114,14 @@ def penalty_prices(instance: Instance) -> Array:
 
     Far above what a kWh can be worth on the trip: its energy price, and its share of
     the dwell at a slow, cold charger; so the penalty is exact. The others weigh
-    10 K, 10 kW and 6 minutes like 1 kWh.
+    10 K, 10 kW and 6 minutes like 1 kWh; under a limit of the time in all 36 seconds:
+    near the least time of a trip a minute is worth several kWh.
     """
     prices = [abs(s.price_per_kwh) for s in instance.stops]
     hours = [s.time_price_per_h + s.occupancy_price_per_h for s in instance.stops]
     price = 20.0 * max([0.1, *prices]) + 2.0 * max([0.0, *hours])
-    return price * np.array([1.0, 0.1, 0.1, 10.0])
+    hour = 10.0 if np.isinf(instance.total_dwell_h) else 100.0
+    return price * np.array([1.0, 0.1, 0.1, hour])
 
 
 def merit(instance: Instance, trajectory: Trajectory) -> float:

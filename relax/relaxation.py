@@ -16,7 +16,7 @@ from relax.instance import Instance
 from relax.intervals import Interval
 from relax.program import Assembly, ConeProgram
 from relax.relaxation_drive import add_drive
-from relax.relaxation_model import Model, stack
+from relax.relaxation_model import Index, Model, pick, stack
 from relax.relaxation_stops import add_stops
 
 __all__ = ["build_relaxation"]
@@ -33,25 +33,35 @@ def _add_states(model: Model) -> None:
     def add(name: str, exists: Array | npt.NDArray[np.bool_], scale: float, x: Interval) -> None:
         v[name] = rows.variable(name, exists, scale=scale, lo=x.lo, hi=x.hi)
 
+    maybe = box.optional
     stop_temp = Interval(box.stop_temperature.lo[:, 1:], box.stop_temperature.hi[:, 1:])
     add("energy", every, 10.0, box.energy)
     add("temperature", every, 10.0, box.temperature)
-    add("charge", each, 10.0, box.charge)
-    add("leave", each, 10.0, box.leave)
-    add("stop_temperature", np.ones((S, K), dtype=bool), 10.0, stop_temp)
+    add("charge", each, 10.0, _or_zero(box.charge, maybe))
+    add("leave", each, 10.0, box.after)
+    add("stop_temperature", np.ones((S, K), dtype=bool), 10.0, _or_zero(stop_temp, maybe))
+    used = v["used"] = rows.variable("used", maybe, scale=1.0, lo=0.0, hi=1.0)
     # what precedes a stop: its node, or the stop before it at the same node
     node = np.array([stop.node for stop in instance.stops], dtype=np.int64)
+    into, out = stack(instance, "detour_in_kwh"), stack(instance, "detour_out_kwh")
+    arrive = Interval(box.arrive.lo + into, box.arrive.hi + into)
+    begin = Interval(box.stop_temperature.lo[:, 0], box.stop_temperature.hi[:, 0])
+    add("share", maybe, 10.0, _or_zero(arrive, maybe))  # used * energy before the stop
+    add("share_temperature", maybe, 10.0, _or_zero(begin, maybe))
+    add("after_temperature", maybe, 10.0, box.after_temperature)
     before, t_before = v["energy"][node], v["temperature"][node]
+    t_after = np.where(maybe, v["after_temperature"], v["stop_temperature"][:, -1])
     for i in range(1, S):
         if node[i] == node[i - 1]:
-            before[i], t_before[i] = v["leave"][i - 1], v["stop_temperature"][i - 1, -1]
-    v["before"] = before
-    v["border"] = np.concatenate([t_before[:, None], v["stop_temperature"]], axis=1)
+            before[i], t_before[i] = v["leave"][i - 1], t_after[i - 1]
+    v["before"] = np.where(maybe, v["share"], before)
+    t_begin = np.where(maybe, v["share_temperature"], t_before)
+    v["border"] = np.concatenate([t_begin[:, None], v["stop_temperature"]], axis=1)
     rows.alias("border", v["border"])
     start, t_start = v["energy"][:-1].copy(), v["temperature"][:-1].copy()
     after = box.step_stop >= 0
     start[after] = v["leave"][box.step_stop[after]]
-    t_start[after] = v["stop_temperature"][box.step_stop[after], -1]
+    t_start[after] = t_after[box.step_stop[after]]
     v["start"], v["start_temperature"] = start, t_start
 
     rows.equal("start energy", [instance.start_energy_kwh], (v["energy"][0], 1.0))
@@ -63,20 +73,73 @@ def _add_states(model: Model) -> None:
     lower[node[node < n]] = True
     rows.less("energy at most", box.energy.hi[upper], (v["energy"][upper], 1.0))
     rows.less("energy at least", -box.energy.lo[lower], (v["energy"][lower], -1.0))
-    for name, column, x in (
-        ("temperature", v["temperature"][1:],
-         Interval(box.temperature.lo[1:], box.temperature.hi[1:])),
-        ("charge", v["charge"], box.charge),
-        ("leave", v["leave"], box.leave),
-        ("stop temperature", v["stop_temperature"], stop_temp),
-    ):  # fmt: skip
-        rows.less(f"{name} at most", x.hi, (column, 1.0))
-        rows.less(f"{name} at least", -x.lo, (column, -1.0))
-    into, out = stack(instance, "detour_in_kwh"), stack(instance, "detour_out_kwh")
-    rows.less("arrive at most", box.arrive.hi + into, (before, 1.0))
-    rows.less("arrive at least", -box.arrive.lo - into, (before, -1.0))
-    rows.less("charged at most", instance.energy_max_kwh + into, (before, 1.0), (v["charge"], 1.0))
-    rows.equal("leave", -into - out, (v["leave"], 1.0), (before, -1.0), (v["charge"], -1.0))  # (R1)
+    temperature = Interval(box.temperature.lo[1:], box.temperature.hi[1:])
+    for name, column, x, unit in (
+        ("temperature", v["temperature"][1:], temperature, None),
+        ("charge", v["charge"], box.charge, used),
+        ("after", v["leave"], box.after, None),
+        ("stop temperature", v["stop_temperature"], stop_temp, used[:, None]),
+        ("arrive", v["before"], arrive, used),
+    ):
+        rows.less(f"{name} at most", x.hi, (column, 1.0), unit=unit)
+        rows.less(f"{name} at least", -x.lo, (column, -1.0), unit=unit)
+    rows.less(
+        "charged at most", instance.energy_max_kwh + into,
+        (v["before"], 1.0), (v["charge"], 1.0), unit=used,
+    )  # fmt: skip
+    rows.equal(
+        "leave", -into - out, (v["leave"], 1.0), (before, -1.0), (v["charge"], -1.0), unit=used
+    )  # (R1)
+    if maybe.any():
+        _add_passing(model, before, t_before, begin)
+    model.cost["used"] = stack(instance, "fixed_cost")
+
+
+def _or_zero(x: Interval, maybe: npt.NDArray[np.bool_]) -> Interval:
+    """Return the interval of x * used: with 0 where ``used`` may be 0."""
+    on = maybe.reshape(maybe.shape + (1,) * (x.lo.ndim - 1))
+    return Interval(np.where(on, np.minimum(x.lo, 0.0), x.lo),
+                    np.where(on, np.maximum(x.hi, 0.0), x.hi))  # fmt: skip
+
+
+def _add_passing(model: Model, before: Index, t_before: Index, begin: Interval) -> None:
+    """Let what an optional stop does not use pass by with its energy and temperature (R10).
+
+    The perspective of the stop's rows, with ``used`` in place of 1, on one side; the point
+    of driving past, with 1 - ``used`` in place of 1, on the other.
+    """
+    rows, box, v = model.rows, model.box, model.v
+    on = box.optional
+    used, W = v["used"][on], v["charge"][on]
+    out = stack(model.instance, "detour_out_kwh")[on]
+    into = stack(model.instance, "detour_in_kwh")[on]
+    share, before, t_before = v["share"][on], before[on], t_before[on]
+    t_share, t_after, t_end = (
+        v["share_temperature"][on], v["after_temperature"][on], v["stop_temperature"][on, -1],
+    )  # fmt: skip
+    lo, hi = box.leave.lo[on] + into + out, box.leave.hi[on] + into + out
+    rows.less("leave at most", np.zeros(lo.shape), (share, 1.0), (W, 1.0), (used, -hi))
+    rows.less("leave at least", np.zeros(lo.shape), (share, -1.0), (W, -1.0), (used, lo))
+    after = pick(box.after, on)
+    rows.less("pass at most", after.hi, (before, 1.0), (share, -1.0), (used, after.hi))
+    rows.less("pass at least", -after.lo, (before, -1.0), (share, 1.0), (used, -after.lo))
+    first, after = pick(begin, on), pick(box.after_temperature, on)
+    zero = np.zeros(used.shape)
+    rows.less("begin temperature at most", zero, (t_share, 1.0), (used, -first.hi))
+    rows.less("begin temperature at least", zero, (t_share, -1.0), (used, first.lo))
+    rows.less("pass temperature at most", after.hi, (t_before, 1.0), (t_share, -1.0),
+              (used, after.hi))  # fmt: skip
+    rows.less("pass temperature at least", -after.lo, (t_before, -1.0), (t_share, 1.0),
+              (used, -after.lo))  # fmt: skip
+    rows.equal("pass temperature", zero, (t_after, 1.0), (t_end, -1.0), (t_before, -1.0),
+               (t_share, 1.0))  # fmt: skip
+    rows.less("used at most", np.ones(used.shape), (used, 1.0))
+    least, most = np.array(box.count) - np.count_nonzero(~on)
+    every = [(column[None], 1.0) for column in used]
+    if least > 0:
+        rows.less("stops at least", [-float(least)], *((i, -a) for i, a in every))
+    if most < used.size:
+        rows.less("stops at most", [float(most)], *every)
 
 
 def build_relaxation(instance: Instance, box: Box) -> ConeProgram:

@@ -57,6 +57,7 @@ def add_stops(model: Model) -> None:
     longest = box.stay.hi
     cools = box.stop_temperature.hi[:, 1:] >= vehicle.cooling_from_c - COOLING_SLACK_K
     cools &= vehicle.cooling_kw > 0.0
+    maybe = box.optional[:, None]
     for name, exists, scale, lo, hi in (
         ("dwell", every, 0.03, box.dwell.lo, y_hi),
         ("cell_loss", every, 0.05, 0.0, loss_hi * (1.0 + 1e-9) + 1e-9),
@@ -68,12 +69,18 @@ def add_stops(model: Model) -> None:
         ("cell_limit", every, 50.0, 0.0, tables.power_range.hi.reshape(S, K) * (1.0 + 1e-9)),
         ("occupied", occupied, 0.5, 0.0, longest),
     ):
+        if name in ("dwell", "temp_dwell"):  # the others' lower ends are 0
+            lo, hi = (
+                np.where(maybe, np.minimum(lo, 0.0), lo),
+                np.where(maybe, np.maximum(hi, 0.0), hi),
+            )
         v[name] = rows.variable(name, exists, scale=scale, lo=lo, hi=hi)
     y, loss, X, hb, ac, hp, h = (
         v[x] for x in ("dwell", "cell_loss", "temp_dwell", "cell_heater", "cell_cooling",
                        "cell_pump", "cell_pump_heat")
     )  # fmt: skip
     W, t0, t1 = v["charge"][:, None], v["border"][:, :-1], v["border"][:, 1:]
+    used = np.broadcast_to(v["used"][:, None], (S, K))
     capacity, zero = pack.heat_capacity_kwh_per_k, np.zeros((S, K))
     rows.equal(
         "cell heat", zero, (t1, capacity), (t0, -capacity), (loss, -1.0), (X, g),
@@ -93,7 +100,7 @@ def add_stops(model: Model) -> None:
         terms: list[Term] = [(i[on], a[on]) for i, a in power]
         rows.less(
             f"grid limit {k}", (s_0 - s_e * into)[on], (W[on], (1.0 / K - s_e * c)[on]), *terms,
-            (y[on], -s_y[on]), (v["before"][:, None][on], -s_e[on]),
+            (y[on], -s_y[on]), (v["before"][:, None][on], -s_e[on]), unit=used[on],
         )  # fmt: skip
     for name, columns, most in (
         ("dwell", y, None), ("cell heater", hb, None),
@@ -103,20 +110,26 @@ def add_stops(model: Model) -> None:
         on_ = columns >= 0
         count = int(on_.sum())
         low = np.zeros(count) if columns is not y else -box.dwell.lo.ravel()
-        rows.less(f"{name} at least", low, (columns[on_], -1.0))
+        rows.less(f"{name} at least", low, (columns[on_], -1.0), unit=used[on_])
         if most is not None:
             most = np.broadcast_to(np.asarray(most, dtype=np.float64), on_.shape)[on_]
             rows.less(f"{name} at most", np.zeros(count), (columns[on_], 1.0), (y[on_], -most))
-    rows.less("dwell at most", y_hi, (y, 1.0))
+    rows.less("dwell at most", y_hi, (y, 1.0), unit=used)
     rows.less(
         "cell heater share", zero, (hb, 1.0), (h, -1.0 / eta_c), (y, q / eta_c - vehicle.heater_kw)
     )
-    rows.less("stay at most", longest, *((y[:, j], 1.0) for j in range(K)))
-    rows.less("stay at least", -box.stay.lo, *((y[:, j], -1.0) for j in range(K)))
+    whole = [(y[:, j], 1.0) for j in range(K)]
+    rows.less("stay at most", longest, *whole, unit=v["used"])
+    rows.less("stay at least", -box.stay.lo, *((i, -1.0) for i, _ in whole), unit=v["used"])
+    if np.isfinite(instance.total_dwell_h):
+        total, detour = np.array([instance.total_dwell_h]), stack(instance, "detour_h")
+        dwells: list[Term] = [(y.ravel()[j : j + 1], 1.0) for j in range(y.size)]
+        detours: list[Term] = [(v["used"][i : i + 1], detour[i]) for i in range(S)]
+        rows.less("stop time at most", total, *dwells, *detours)
     free = stack(instance, "occupancy_free_h")[occupied]
     rows.less(
         "occupied", free, (v["occupied"][occupied], -1.0),
-        *((y[occupied, j], 1.0) for j in range(K)),
+        *((y[occupied, j], 1.0) for j in range(K)), unit=v["used"][occupied],
     )  # fmt: skip
     rows.less("occupied at least", np.zeros(free.size), (v["occupied"][occupied], -1.0))
     _add_charge_time(model, tables)
@@ -137,13 +150,15 @@ def _add_products(model: Model, pump_hi: Array, q: Array) -> None:
     y, X, hp, h = (v[x] for x in ("dwell", "temp_dwell", "cell_pump", "cell_pump_heat"))
     t0, t1, temp = v["border"][:, :-1], v["border"][:, 1:], box.cell_temperature
     shape = y.shape
+    used = np.broadcast_to(v["used"][:, None], shape)
     flat = Interval(temp.lo.ravel(), temp.hi.ravel())
     below, above = envelope_product(flat, Interval(box.dwell.lo.ravel(), box.dwell.hi.ravel()))
     for name, planes, sign in (("product above", above, 1.0), ("product below", below, -1.0)):
         a = planes.reshape(2, 3, *shape)
         rows.less(
-            name, sign * a[:, 2], (X, sign), (y, -sign * a[:, 1]), *middle(t0, t1, -sign * a[:, 0])
-        )
+            name, sign * a[:, 2], (X, sign), (y, -sign * a[:, 1]), *middle(t0, t1, -sign * a[:, 0]),
+            unit=used,
+        )  # fmt: skip
     on = hp >= 0
     if on.any():
         power = Interval(np.zeros(int(on.sum())), pump_hi[on])
@@ -162,6 +177,7 @@ def _add_charge_time(model: Model, tables: ChargeGrid) -> None:
     K, shape = instance.cells, v["dwell"].shape
     into = stack(instance, "detour_in_kwh")[:, None]
     W, y, p, before = v["charge"][:, None], v["dwell"], v["cell_limit"], v["before"][:, None]
+    used = np.broadcast_to(v["used"][:, None], shape)
     t0, t1, c = v["border"][:, :-1], v["border"][:, 1:], (np.arange(K) + 0.5) / K
     w_lo, w_hi = box.charge.lo[:, None], box.charge.hi[:, None]
     power = tables.power_range
@@ -174,12 +190,12 @@ def _add_charge_time(model: Model, tables: ChargeGrid) -> None:
         a, b = at / K * s_e, at / K * s_t
         rows.less(
             name, -at / K * s_0 + a * into + at / K * slope, (y, -1.0), (W, slope / K + a * c),
-            (before, a), *middle(t0, t1, b),
+            (before, a), *middle(t0, t1, b), unit=used,
         )  # fmt: skip
     a = envelope_limit_over(tables.power, tables.energy, tables.temp).reshape(-1, 3, *shape)
     rows.less(
         "cell limit", a[:, 2] - a[:, 0] * into, (p, 1.0), (W, -a[:, 0] * c), (before, -a[:, 0]),
-        *middle(t0, t1, -a[:, 1]),
+        *middle(t0, t1, -a[:, 1]), unit=used,
     )  # fmt: skip
     w_0 = np.broadcast_to(0.5 * (w_lo + w_hi), shape).ravel()
     p_0 = np.maximum(0.5 * power.hi, 1.0)
@@ -194,6 +210,7 @@ def _add_charge_time(model: Model, tables: ChargeGrid) -> None:
         (none, [(yf, 1.0 / y_0), (pf, 1.0 / p_0)]),
         (none, [(yf, 1.0 / y_0), (pf, -1.0 / p_0)]),
         (2.0 * zero / np.sqrt(w_0), [(Wf, 2.0 * chord / np.sqrt(w_0))]),
+        unit=used.ravel(),
     )
 
 
@@ -203,6 +220,7 @@ def _add_stop_loss(model: Model, tables: ChargeGrid, rho: Array, rho_range: Inte
     pack, K, shape = instance.vehicle.pack, instance.cells, v["dwell"].shape
     into = stack(instance, "detour_in_kwh")[:, None]
     W, y, loss, before = v["charge"][:, None], v["dwell"], v["cell_loss"], v["before"][:, None]
+    used = np.broadcast_to(v["used"][:, None], shape)
     t0, t1, c = v["border"][:, :-1], v["border"][:, 1:], (np.arange(K) + 0.5) / K
     w_lo, w_hi = box.charge.lo[:, None], box.charge.hi[:, None]
     s_e, s_t, s_0 = rho.reshape(-1, 3, *shape).swapaxes(0, 1)
@@ -211,7 +229,7 @@ def _add_stop_loss(model: Model, tables: ChargeGrid, rho: Array, rho_range: Inte
         a = at / K * s_e
         rows.less(
             name, at / K * (s_0 - slope) - a * into, (loss, 1.0), (W, -slope / K - a * c),
-            (before, -a), *middle(t0, t1, -at / K * s_t),
+            (before, -a), *middle(t0, t1, -at / K * s_t), unit=used,
         )  # fmt: skip
     square_hi = 1.0 / tables.inverse_square.min(axis=1)
     temp = Interval(box.cell_temperature.lo.ravel(), box.cell_temperature.hi.ravel())
@@ -225,7 +243,7 @@ def _add_stop_loss(model: Model, tables: ChargeGrid, rho: Array, rho_range: Inte
     ).reshape(-1, 4, *shape)
     rows.less(
         "stop loss below", -planes[:, 3], (loss, -1.0), (W, planes[:, 0] / K), (y, planes[:, 1]),
-        *middle(t0, t1, planes[:, 2]),
+        *middle(t0, t1, planes[:, 2]), unit=used,
     )  # fmt: skip
     r_lo = tables.resistance.min(axis=1) / square_hi * (1.0 - 1e-9)
     on = tables.resistance.min(axis=1) > LEAST_RESISTANCE_OHM

@@ -44,7 +44,8 @@ ROUNDING_KW = 1e-6
 MANAGED_K = 0.2
 """Band below a limit in which heater or cooling is taken back to zero [K]."""
 EXCESS_H = 1e-4
-"""Excess over the longest dwell that is rounding: 0.4 s [h]."""
+"""Excess over the longest dwell, of one stop or of all, that is rounding: 0.4 s [h]."""
+RULE_STOP_TIME = "charging and detours beyond the time allowed for all stops"
 
 # components of the integrated state: two states, the clock, and energies since departure
 ENERGY, TEMPERATURE, CLOCK, GRID, LOSS, BASE, HEATER, CABIN = range(8)
@@ -390,6 +391,8 @@ def replay(
             driver.drive_sample(int(sample[i]), float(hours[i]), setting, brake)
     short = instance.end_energy_min_kwh - driver.state[ENERGY]
     driver.note("energy below the least at the end", route.length_km, short, "kWh", SHORTFALL_KWH)
+    over = sum(s.dwell_h for s in stops) - instance.total_dwell_h if stops else 0.0
+    driver.note(RULE_STOP_TIME, route.length_km, over, "h", EXCESS_H)
     return _report(driver, cost, stops, borders, np.array(states), np.array(nodes))
 
 

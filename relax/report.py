@@ -198,9 +198,14 @@ class PlanReport:
     deviation: Deviation
 
     @property
+    def stop_time_h(self) -> float:
+        """Charging and detours: what ``limits.stop_time_h`` bounds [h]."""
+        return self.charging_h + self.detour_h
+
+    @property
     def total_h(self) -> float:
         """Driving, charging and detours [h]."""
-        return self.driving_h + self.charging_h + self.detour_h
+        return self.driving_h + self.stop_time_h
 
     def trajectory(self) -> dict[str, dict[str, Array]]:
         """Return all arrays by name: ``drive`` and one entry per stop, named by its charger."""

@@ -194,6 +194,10 @@ class LimitsSection(Strict):
     soc_max: Annotated[Share, _say("largest state of charge after charging, 0 to 1")] = 1.0
     temperature_max_c: Annotated[Celsius | None, _say("tightens the vehicle's limit")] = None
     temperature_min_c: Annotated[Celsius | None, _say("tightens the vehicle's limit")] = None
+    stop_time_h: Annotated[
+        NonNegative | None,
+        _say("most charging and detour time of the whole trip, h; no limit when left out"),
+    ] = None
 
 
 class GridSection(Strict):

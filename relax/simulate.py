@@ -197,12 +197,13 @@ class Simulation:
         table = np.array(walk.rows)
         peak = max([arrive[:, 1].max(), *(s.temperature_c.max() for s in walk.stops)])
         low = min([arrive[:, 1].min(), *(s.temperature_c.min() for s in walk.stops)])
+        stopped = sum(float(s.dwell_h.sum()) for s in walk.stops)
         violation = np.array(
             [
                 max(walk.short, float(arrive[:, 0].max()) - instance.ceiling_kwh),
                 max(peak - instance.temperature_max_c, instance.temperature_min_c - low),
                 max(float(table[:, 9].max()), walk.excess_kw),
-                walk.excess_h,
+                max(walk.excess_h, stopped - instance.total_dwell_h) if walk.stops else 0.0,
             ]
         )
         return Trajectory(

@@ -313,6 +313,7 @@ def make_spec(instance: Instance, box: Box) -> Spec:
     price.value = np.array([s.price_per_kwh for s in instance.stops] or [0.0])
     time.value = np.array([s.time_price_per_h for s in instance.stops] or [0.0])
     cost: Expression = instance.fixed_cost
+    stopped: Expression = 0.0
     here: tuple[int, Expression, Expression] = (-1, None, None)
     for i, stop in enumerate(instance.stops):
         state = here[1:] if here[0] == stop.node else (E[stop.node], T[stop.node])
@@ -322,7 +323,10 @@ def make_spec(instance: Instance, box: Box) -> Spec:
         here = (stop.node, v["leave"][i], v["stop_temperature"][i, K - 1])
         if stop.node < n:
             start[stop.node], warm[stop.node] = here[1:]
+        stopped += dwell
         cost += price[i] * grid + time[i] * dwell
         cost += stop.occupancy_price_per_h * cp.pos(dwell - stop.occupancy_free_h)
+    if S and np.isfinite(instance.total_dwell_h):
+        rows.append(stopped <= instance.total_dwell_h)
     rows += _drive_rows(instance, box, v, cp.hstack(start), cp.hstack(warm))
     return Spec(cp.Problem(cp.Minimize(cost), rows), price, time, v)

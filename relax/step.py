@@ -167,7 +167,9 @@ def drive_step(
             load = base + heater + cooling + pump + cabin
             end_free = temp + scale * (flow + r * (load * load + ripple))
             heater = max(min(heater, (cap - end_free) / (scale * car.heater_eff)), 0.0)
-            load = base + heater + pump + cabin  # cooling's own load would overstate the loss
+            # cooling's own load would overstate the loss; so would power that goes into the
+            # pack, which cooling lessens and the charge limit may refuse
+            load = max(base + heater + pump + cabin, 0.0)
             end_free = temp + scale * (flow + r * (load * load + ripple))
             spare = end_free + scale * car.heater_eff * heater - car.cooling_from
             cooling = max(min(cooling, spare / (scale * car.cooling_cop)), 0.0)

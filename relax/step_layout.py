@@ -185,6 +185,8 @@ class StepLayout:
             ]
         if m:
             dwell = tuple(self.dwell.reshape(m, -1).T)
+            total = self.instance.total_dwell_h
+            everything = (*self.dwell[:, None], self.slack[3:])
             blocks += [
                 ("least_dwell", cell),
                 *((f"other_dwell_{k}", cell) for k in self.kinks),
@@ -198,6 +200,7 @@ class StepLayout:
                 ("charged_trust_max", (self.charged,)),
                 ("charged_trust_min", (self.charged,)),
                 ("dwell_max", (*dwell, s_h)),
+                *((("stop_time_max", everything),) if np.isfinite(total) else ()),
                 ("occupancy_min", (self.occupancy,)),
                 ("occupancy", (*dwell, self.occupancy)),
             ]

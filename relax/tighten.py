@@ -1,54 +1,288 @@
-"""Owns the proof that a fixed subset holds no plan cheaper than a cutoff: tighten, branch, close.
+"""Owns which steps a proof takes on one box: what to bound, in which order, and where to cut.
 
-A box is shrunk by bound problems (least and largest value of a quantity among
-all points of the relaxation that cost less than the cutoff) and by
-reachability; where that stalls, it is split. Every bound is a safe one, every
-closed box a theorem. Knows nothing of other subsets.
+Bounds the cost, then the energies charged, then the temperatures, each over all
+points of the relaxation that cost less than the cutoff, as long as that pays;
+otherwise says how to cut the box. Choices live here, proofs in ``proof``.
 """
 
 from __future__ import annotations
 
 import heapq
 import time
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import count, pairwise
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from relax.box import Box
-from relax.certify import Infeasible, LowerBound, certify_infeasible, certify_lower_bound
+from relax.branch import Branch, Target, branch
 from relax.instance import Instance
 from relax.intervals import Interval
-from relax.program import ConeProgram, add_cutoff
-from relax.reach import make_box, propagate
-from relax.relaxation import build_relaxation
+from relax.proof import BoxProof, Closed, Step
+from relax.reach import make_box
+from relax.relaxed_point import RelaxedPoint, unpack_point
 from relax.solve import SolveSettings, SolveStatus, solve_cone
 
-__all__ = ["Proof", "prove"]
+__all__ = ["Proof", "Tightened", "prove", "tighten"]
 
 Array = npt.NDArray[np.float64]
 
 SETTINGS = SolveSettings(tolerance=1e-3)
 """Bounds are safe whatever the tolerance; a looser one changes them by less than 0.01 %."""
-WORTH = {
-    "charge": (0.5, 0.5),
-    "stay": (0.1, 0.05),
-    "temperature": (8.0, 2.0),
-    "stop_temperature": (8.0, 2.0),
-}
-"""A lower or upper bound problem is solved if it can gain at least this [kWh, h, K]: a battery
-that might be too warm loosens the heat pump and the charge limit, a cold one little."""
+WORTH = {"charge": (0.5, 0.5), "temperature": (np.inf, 3.0), "stop_temperature": (np.inf, 3.0)}
+"""A lower or upper bound problem is solved if it can gain at least this [kWh, K]: a battery
+that might be too warm loosens the heat pump and the charge limit; a cold one counts at stops."""
+WIDE_CHARGE_KWH = 9.0
+"""Stops whose charge is less certain than this are cut before temperatures are bounded: until
+then temperature bounds are loose. From 5 to 13 kWh, 9 took the fewest programs."""
 LEAST_SPLIT = {"charge": 0.5, "stay": 0.02, "temperature": 1.0, "stop_temperature": 1.0}
-"""Intervals narrower than this are not split [kWh, h, K]."""
+"""Intervals narrower than this are not cut [kWh, h, K]."""
 SPLIT_UNIT = {"charge": 3.0, "stay": 0.15, "temperature": 8.0, "stop_temperature": 8.0}
-"""Widths that count alike when the quantity to split is chosen [kWh, h, K]."""
+"""Widths that count alike when the quantity to cut is chosen [kWh, h, K]."""
 PROGRESS = 0.25
 """Share of the distance to the cutoff that a round must gain for another one."""
-LEG_SHARES = (0.5, 0.25, 0.75)
-"""Where between two stops the temperature is bounded, as shares of the steps."""
+DECIDED = 0.02
+"""An optional stop used by less than this, or by all but this, counts as decided."""
+SHORT_LEG = 4
+"""Legs of up to this many steps get no temperature bound of their own."""
+
+
+@dataclass(frozen=True)
+class Tightened:
+    """What became of one box.
+
+    Parameters
+    ----------
+    closed : bool
+        It holds no plan below the cutoff.
+    bound : float
+        No plan in it costs less [currency]; the cutoff if ``closed``.
+    proved : float
+        What relaxations alone bound, at most the cutoff [currency].
+    box : Box
+        What is left of it.
+    how : Branch or None
+        Where to cut it; None if it is closed or too small to cut.
+    point : RelaxedPoint or None
+        The last relaxed optimum of a fixed subset: where a refinement may start.
+    used : ndarray, shape (S,)
+        How far every stop is used at the last relaxed optimum, 1 for those not optional.
+    steps : tuple of Step
+        The proof.
+    programs : int
+        Cone programs solved.
+    solve_s, build_s : float
+        Time inside the solver, and for boxes, rows and certificates [s].
+    """
+
+    closed: bool
+    bound: float
+    proved: float
+    box: Box
+    how: Branch | None
+    point: RelaxedPoint | None
+    used: Array
+    steps: tuple[Step, ...]
+    programs: int
+    solve_s: float
+    build_s: float
+
+
+class _Work:
+    """A proof in the making: solves what the steps need."""
+
+    def __init__(self, proof: BoxProof, deadline: float) -> None:
+        self.proof, self.deadline = proof, deadline
+        self.programs, self.solve_s = 0, 0.0
+        self.x: Array = np.zeros(0)
+
+    @property
+    def late(self) -> bool:
+        return time.perf_counter() > self.deadline
+
+    def relax(self) -> None:
+        """Bound the cost on the box."""
+        program = self.proof.build()
+        found = solve_cone(program, SETTINGS)
+        self.programs, self.solve_s = self.programs + 1, self.solve_s + found.solve_s
+        self.x = found.x
+        ray = found.status is SolveStatus.INFEASIBLE
+        self.proof.apply(Step("relax", found.z, ray), program)
+
+    def shrink(self, target: Target) -> None:
+        """Bound one quantity from both sides, where the relaxed optimum leaves room."""
+        proof = self.proof
+        columns, index = proof.columns(target), target.index
+        assert proof.program is not None
+        here = float((self.x * proof.program.scale)[columns].sum())
+        for sign, worth in zip((1, -1), WORTH[target.name], strict=True):
+            interval: Interval = getattr(proof.box, target.name)
+            end = float((interval.lo if sign > 0 else interval.hi)[index])
+            if sign * (here - end) < worth or self.late:
+                continue
+            program = proof.objective(target, sign)
+            found = solve_cone(program, SETTINGS)
+            self.programs, self.solve_s = self.programs + 1, self.solve_s + found.solve_s
+            ray = found.status is SolveStatus.INFEASIBLE
+            proof.apply(Step("shrink", found.z, ray, target, sign), program)
+
+    def spread(self) -> None:
+        """Propagate what was learnt through the box."""
+        for _ in range(2):
+            self.proof.apply(Step("propagate"))
+
+    def round(self, targets: list[Target]) -> None:
+        """Bound quantities, propagate, and bound the cost again."""
+        for target in targets:
+            self.shrink(target)
+        self.spread()
+        self.relax()
+
+
+def _charges(box: Box) -> list[Target]:
+    return [Target("charge", i, "charge") for i in range(box.optional.size)]
+
+
+def _legs(instance: Instance) -> list[Target]:
+    """Temperatures in the middle of every leg and at the end."""
+    borders = [0, *(s.node for s in instance.stops if not s.optional), instance.drive.n_steps]
+    nodes = [(a + b) // 2 for a, b in pairwise(borders) if b - a > SHORT_LEG]
+    return [Target("temperature", k, "temperature") for k in [*nodes, borders[-1]]]
+
+
+def _at_stops(instance: Instance) -> list[Target]:
+    """Temperatures on arrival at every used stop and at its end."""
+    out = []
+    for i, stop in enumerate(instance.stops):
+        if not stop.optional:
+            out.append(Target("temperature", stop.node, "temperature"))
+            out.append(Target("stop_temperature", (i, instance.cells), "border"))
+    return out
+
+
+def _widest(instance: Instance, box: Box) -> Branch | None:
+    """Where to cut a box of used stops: the quantity that is widest for its kind."""
+    targets = [
+        *_charges(box),
+        *(Target("stay", i, "dwell") for i in range(box.optional.size)),
+        *_at_stops(instance),
+    ]
+    best, choice = 0.0, None
+    for target in targets:
+        interval: Interval = getattr(box, target.name)
+        lo, hi = float(interval.lo[target.index]), float(interval.hi[target.index])
+        share = (hi - lo) / SPLIT_UNIT[target.name]
+        if hi - lo > LEAST_SPLIT[target.name] and share > best:
+            best, choice = share, Branch("halve", target, 0.5 * (lo + hi))
+    return choice
+
+
+def _undecided(box: Box, used: Array) -> Branch:
+    """Where to cut a box with optional stops: by their number first, then by the least certain."""
+    least, most = box.count
+    if least < most:
+        at = int(np.clip(np.floor(used.sum() + DECIDED), least, most - 1))
+        return Branch("count", at=at)
+    doubt = np.where(box.optional, np.minimum(used, 1.0 - used), -1.0)
+    if doubt.max() < DECIDED:
+        doubt = np.where(box.optional, used, -1.0)
+    return Branch("use", stop=int(doubt.argmax()))
+
+
+def tighten(
+    instance: Instance,
+    box: Box,
+    cutoff: float,
+    *,
+    bound: float = -np.inf,
+    fresh: bool = False,
+    deadline: float = np.inf,
+) -> Tightened:
+    """Bound, shrink and if need be cut one box.
+
+    Parameters
+    ----------
+    instance : Instance
+        Fixed subset, or family of subsets, and grid.
+    box : Box
+        A valid box of it.
+    cutoff : float
+        Cost below which plans matter [currency].
+    bound : float
+        Lower bound known before [currency].
+    fresh : bool
+        The box comes from ``make_box``: intervals are propagated already.
+    deadline : float
+        ``time.perf_counter()`` from which on no further program is begun [s].
+
+    Returns
+    -------
+    Tightened
+        Its bound holds whatever the solver did.
+
+    Examples
+    --------
+    >>> from relax import load_trip, make_instance
+    >>> instance = make_instance(load_trip("paper-400km"), (), undecided=(0, 1, 2))
+    >>> done = tighten(instance, make_box(instance), cutoff=100.0)
+    >>> done.closed, done.bound >= 100.0
+    (True, True)
+    """
+    begin = time.perf_counter()
+    proof = BoxProof(instance, box, cutoff, bound)
+    work = _Work(proof, deadline)
+    closed, how = False, None
+    try:
+        proof.check()
+        if not fresh:
+            work.spread()
+        work.relax()
+        how = _settle(work)
+    except Closed:
+        closed = True
+    used = np.where(proof.box.optional, 0.0, 1.0)
+    point = None
+    if not closed and proof.program is not None and np.isfinite(work.x).all():
+        if proof.box.optional.any():
+            used = np.where(proof.box.optional, proof.program.value("used", work.x), 1.0)
+        elif instance.stops:
+            point = unpack_point(proof.program, work.x)
+    return Tightened(
+        closed=closed,
+        bound=cutoff if closed else proof.bound,
+        proved=proof.bound,
+        box=proof.box,
+        how=how,
+        point=point,
+        used=used,
+        steps=tuple(proof.steps),
+        programs=work.programs,
+        solve_s=work.solve_s,
+        build_s=time.perf_counter() - begin - work.solve_s,
+    )
+
+
+def _settle(work: _Work) -> Branch | None:
+    """Shrink the box as long as that pays; return where to cut what is left."""
+    proof = work.proof
+    instance = proof.instance
+    assert proof.program is not None
+    if proof.box.optional.any():
+        used = np.where(proof.box.optional, proof.program.value("used", work.x), 1.0)
+        return _undecided(proof.box, used)
+    while not work.late:
+        before = proof.bound
+        work.round(_charges(proof.box))
+        width = proof.box.charge.width
+        if width.max(initial=0.0) > WIDE_CHARGE_KWH:
+            i = int(width.argmax())
+            return Branch("halve", Target("charge", i, "charge"), float(proof.box.charge.mid[i]))
+        work.round(_legs(instance))
+        work.round(_at_stops(instance))
+        if proof.bound - before < PROGRESS * (proof.cutoff - before):
+            break
+    return _widest(instance, proof.box)
 
 
 @dataclass(frozen=True)
@@ -77,142 +311,6 @@ class Proof:
     build_s: float
 
 
-class _Closed(Exception):  # noqa: N818
-    """The box holds no plan below the cutoff."""
-
-
-@dataclass(frozen=True)
-class _Target:
-    """A quantity to bound: an entry of the box and the variables that add up to it."""
-
-    name: str
-    variable: str
-    index: int | tuple[int, int]
-
-
-def _targets(instance: Instance, stage: int) -> Iterator[_Target]:
-    """Quantities in order of value: energy charged, time, temperatures at stops, between stops."""
-    stops, cells = instance.stops, instance.cells
-    if stage == 0:
-        for i in range(len(stops)):
-            yield _Target("charge", "charge", i)
-        for i in range(len(stops)):
-            yield _Target("stay", "dwell", i)
-    elif stage == 1:
-        for i, stop in enumerate(stops):
-            yield _Target("temperature", "temperature", stop.node)
-            yield _Target("stop_temperature", "border", (i, cells))
-            yield _Target("stop_temperature", "border", (i, cells // 2))
-    else:
-        borders = [0, *(s.node for s in stops), instance.drive.n_steps]
-        for share in LEG_SHARES:
-            for a, b in pairwise(borders):
-                if b - a > 4:
-                    yield _Target("temperature", "temperature", a + int(share * (b - a)))
-
-
-def _with(box: Box, name: str, interval: Interval) -> Box:
-    """Return the box with another interval."""
-    changes: dict[str, Any] = {name: interval}
-    return replace(box, **changes)
-
-
-class _Work:
-    """One box being tightened: its programs, its relaxed optimum, its bound."""
-
-    def __init__(self, instance: Instance, box: Box, cutoff: float, bound: float) -> None:
-        self.instance, self.box, self.cutoff, self.bound = instance, box, cutoff, bound
-        self.programs, self.solve_s = 0, 0.0
-        self.x: Array = np.zeros(0)
-        self.program: ConeProgram | None = None
-
-    def solve(self, program: ConeProgram) -> tuple[float, Array]:
-        """Return the safe bound of a program and its relaxed optimum; closes if infeasible."""
-        found = solve_cone(program, SETTINGS)
-        self.programs += 1
-        self.solve_s += found.solve_s
-        if found.status is SolveStatus.INFEASIBLE and isinstance(
-            certify_infeasible(program, found.z), Infeasible
-        ):
-            raise _Closed
-        safe = certify_lower_bound(program, found.z)
-        return safe.value if isinstance(safe, LowerBound) else -np.inf, found.x
-
-    def relax(self) -> None:
-        """Bound the cost on the box."""
-        if self.box.empty:
-            raise _Closed
-        program = build_relaxation(self.instance, self.box)
-        bound, self.x = self.solve(program)
-        self.bound = max(self.bound, bound)
-        if self.bound >= self.cutoff:
-            raise _Closed
-        self.program = add_cutoff(program, self.cutoff)
-
-    def shrink(self, target: _Target) -> None:
-        """Bound one quantity from both sides, where the relaxed optimum leaves room."""
-        program = self.program
-        assert program is not None
-        columns = np.atleast_1d(program.variables[target.variable][target.index]).ravel()
-        here = float((self.x * program.scale)[columns].sum())
-        interval: Interval = getattr(self.box, target.name)
-        for sign, worth in zip((1.0, -1.0), WORTH[target.name], strict=True):
-            end = float((interval.lo if sign > 0.0 else interval.hi)[target.index])
-            if sign * (here - end) < worth:
-                continue
-            q = np.zeros_like(program.q)
-            q[columns] = sign * program.scale[columns]
-            value, _ = self.solve(replace(program, q=q, constant=0.0))
-            if value <= sign * end:
-                continue
-            lo, hi = interval.lo.copy(), interval.hi.copy()
-            (lo if sign > 0.0 else hi)[target.index] = sign * value
-            interval = Interval(lo, hi)
-        self.box = _with(self.box, target.name, interval)
-
-    def spread(self) -> None:
-        """Propagate what was learnt through the box."""
-        for _ in range(2):
-            if self.box.empty:
-                raise _Closed
-            self.box = propagate(self.instance, self.box)
-
-    def tighten(self) -> None:
-        """Shrink the box as long as that pays; raises ``_Closed`` when nothing is left."""
-        self.relax()
-        while True:
-            before = self.bound
-            for stage in range(3):
-                for target in _targets(self.instance, stage):
-                    self.shrink(target)
-                self.spread()
-                self.relax()
-            if self.bound - before < PROGRESS * (self.cutoff - before):
-                return
-
-
-def _split(instance: Instance, box: Box) -> tuple[Box, Box] | None:
-    """Cut the box in two along the quantity that is widest for its kind; None if all are narrow."""
-    best, choice = 0.0, None
-    for stage in (0, 1):
-        for target in _targets(instance, stage):
-            interval: Interval = getattr(box, target.name)
-            lo, hi = float(interval.lo[target.index]), float(interval.hi[target.index])
-            width = hi - lo
-            if width > LEAST_SPLIT[target.name] and width / SPLIT_UNIT[target.name] > best:
-                best, choice = width / SPLIT_UNIT[target.name], (target, 0.5 * (lo + hi))
-    if choice is None:
-        return None
-    target, at = choice
-    halves = []
-    for upper in (False, True):
-        whole: Interval = getattr(box, target.name)
-        ends = whole.lo.copy(), whole.hi.copy()
-        ends[0 if upper else 1][target.index] = at
-        halves.append(_with(box, target.name, Interval(*ends)))
-    return halves[0], halves[1]
-
-
 def prove(
     instance: Instance,
     cutoff: float,
@@ -221,12 +319,12 @@ def prove(
     max_boxes: int = 200,
     deadline: float = np.inf,
 ) -> Proof:
-    """Try to prove that a subset holds no plan cheaper than the cutoff.
+    """Try to prove that a fixed subset holds no plan cheaper than the cutoff.
 
     Parameters
     ----------
     instance : Instance
-        Subset and grid.
+        Subset and grid; no optional stops.
     cutoff : float
         Cost below which plans matter [currency].
     bound : float
@@ -241,6 +339,11 @@ def prove(
     Proof
         ``lower_bound`` holds in any case: boxes not closed keep theirs.
 
+    Raises
+    ------
+    ValueError
+        The instance has optional stops.
+
     Examples
     --------
     >>> from relax import load_trip, make_instance
@@ -248,37 +351,31 @@ def prove(
     >>> prove(instance, cutoff=250.0).closed
     True
     """
+    if instance.optional.any():
+        raise ValueError("prove needs a fixed subset; tighten takes optional stops")
     begin = time.perf_counter()
     ticket = count()
-    box = make_box(instance)
-    queue: list[tuple[float, int, Box]] = [(bound, next(ticket), box)]
-    done = np.inf
+    queue: list[tuple[float, int, Box]] = [(bound, next(ticket), make_box(instance))]
+    kept = np.inf
     boxes, programs, solve_s = 0, 0, 0.0
     while queue and boxes < max_boxes and time.perf_counter() < deadline:
         known, _, box = heapq.heappop(queue)
-        work = _Work(instance, box, cutoff, known)
+        done = tighten(instance, box, cutoff, bound=known, fresh=boxes == 0, deadline=deadline)
         boxes += 1
-        try:
-            for _ in range(2 if boxes > 1 else 0):
-                work.box = propagate(instance, work.box)
-                if work.box.empty:
-                    raise _Closed
-            work.tighten()
-            halves = _split(instance, work.box)
-            if halves is None:
-                done = min(done, work.bound)
-            for half in halves or ():
-                heapq.heappush(queue, (work.bound, next(ticket), half))
-        except _Closed:
-            pass
-        programs, solve_s = programs + work.programs, solve_s + work.solve_s
-    lowest = min([cutoff, done, *(entry[0] for entry in queue)])
-    seconds = time.perf_counter() - begin
+        programs, solve_s = programs + done.programs, solve_s + done.solve_s
+        if done.closed:
+            continue
+        if done.how is None:
+            kept = min(kept, done.bound)
+            continue
+        for part in branch(done.box, done.how):
+            heapq.heappush(queue, (done.bound, next(ticket), part))
+    lowest = min([cutoff, kept, *(entry[0] for entry in queue)])
     return Proof(
-        closed=not queue and done == np.inf,
+        closed=not queue and kept == np.inf,
         lower_bound=max(lowest, bound),
         boxes=boxes,
         programs=programs,
         solve_s=solve_s,
-        build_s=seconds - solve_s,
+        build_s=time.perf_counter() - begin - solve_s,
     )

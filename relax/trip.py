@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from math import inf
 
 import numpy as np
 import numpy.typing as npt
@@ -160,6 +161,8 @@ class Trip:
         Largest SoC after charging.
     grid : Grid
         Default transcription.
+    stop_time_h : float
+        Most charging and detour time of the whole trip [h]; ``inf``: no limit.
     """
 
     name: str
@@ -174,3 +177,4 @@ class Trip:
     soc_min: Table1
     soc_max: float
     grid: Grid
+    stop_time_h: float = inf

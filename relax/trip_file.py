@@ -7,6 +7,7 @@ each other. Knows nothing of how documents are found or read.
 from __future__ import annotations
 
 from dataclasses import replace
+from math import inf
 
 import numpy as np
 import numpy.typing as npt
@@ -97,6 +98,7 @@ def make_trip(
         soc_min=soc_min,
         soc_max=spec.limits.soc_max,
         grid=Grid(spec.grid.step_km, spec.grid.cells),
+        stop_time_h=inf if spec.limits.stop_time_h is None else spec.limits.stop_time_h,
     )
 
 
