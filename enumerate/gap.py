@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from math import inf
 
-__all__ = ["DEFAULT_GAP", "is_closed", "relative_gap"]
+__all__ = ["DEFAULT_GAP", "closing_cost", "is_close", "is_closed", "relative_gap"]
 
 DEFAULT_GAP = 0.01
 """Relative gap below which a plan is called optimal unless the caller asks otherwise."""
@@ -48,3 +48,19 @@ def is_close(cost: float, best: float) -> bool:
     (True, False)
     """
     return cost <= best + CLOSE * max(abs(best), 1.0)
+
+
+def closing_cost(cost: float, gap: float, transcribed: float = inf) -> float:
+    """Return the cost from which on a bound closes a subset: cost less the relative gap.
+
+    Bounds are of the transcription. Where its cost is so far below the driven one that
+    no bound can come within the gap, half the gap to the transcribed cost has to do:
+    a finer grid would help, more proof would not.
+
+    Examples
+    --------
+    >>> closing_cost(200.0, 0.01), closing_cost(200.0, 0.01, transcribed=190.0)
+    (198.0, 189.05)
+    """
+    reachable = transcribed - 0.5 * gap * max(abs(transcribed), 1.0) if transcribed < inf else inf
+    return min(cost - gap * max(abs(cost), 1.0), reachable)

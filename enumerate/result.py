@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from enumerate.evidence import ProofNode
 from enumerate.gap import DEFAULT_GAP, relative_gap
 from enumerate.ledger import Ledger
 
@@ -61,6 +62,10 @@ class Result:
         Wall-clock time by phase [s].
     interrupted : str
         Why the search ended early, empty if it did not.
+    programs : int
+        Programs solved in all: relaxations, bound problems, quadratic programs.
+    proofs : tuple of ProofNode
+        Evidence of all bounds, if it was to be kept.
     diagnosis : Diagnosis or None
         Without a plan: how far the car gets and what would help.
     """
@@ -78,6 +83,8 @@ class Result:
     timings_s: dict[str, float]
     asked_gap: float | None = None
     interrupted: str = ""
+    programs: int = 0
+    proofs: tuple[ProofNode, ...] = ()
     diagnosis: Diagnosis | None = None
 
     @property
@@ -123,6 +130,8 @@ class Result:
         rows = [
             {
                 "stops": [names[i] for i in row.subset],
+                "undecided": [names[i] for i in row.undecided],
+                "subsets": row.size,
                 "outcome": row.outcome.value,
                 "cost": row.cost,
                 "lower_bound": row.lower_bound,
@@ -142,6 +151,7 @@ class Result:
             "plan": plan,
             "replay": replayed,
             "subsets": self.ledger.counts(),
+            "programs": self.programs,
             "rows": rows,
             "timings_s": self.timings_s,
             "interrupted": self.interrupted,

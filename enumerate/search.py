@@ -1,15 +1,18 @@
-"""Owns the search over all charger subsets: relax, order, refine, drive, account.
+"""Owns the search over all charger subsets: relax, order, refine, drive, prove, account.
 
-Every subset is first relaxed, which bounds it or proves it infeasible; those
-whose bound is below the best plan are refined, most promising first; the best
-plan is driven on the continuous model. Subsets are handled in batches of fixed
-size, so the result does not depend on the number of workers. Knows no solver.
+With few chargers every subset is relaxed, which bounds it or proves it infeasible;
+those whose bound is below the best plan are refined, most promising first. With many,
+families of subsets are relaxed together, and what their optima use is refined, with
+its neighbours. The best plan is driven on the continuous model; families and subsets
+that could be better are cut and bounded until the gap is proved. Work is done in
+batches of fixed size, so the result does not depend on the number of workers. Knows
+no solver.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
@@ -17,30 +20,41 @@ from functools import partial
 from math import inf
 from typing import Literal
 
+from enumerate.account import Account
 from enumerate.diagnose import diagnose
-from enumerate.gap import DEFAULT_GAP, is_close, is_closed, relative_gap
+from enumerate.gap import DEFAULT_GAP, closing_cost, is_close, is_closed, relative_gap
 from enumerate.ledger import Ledger, Outcome, Row
 from enumerate.pool import run_in_order
 from enumerate.result import Result, Status
-from enumerate.subset import Subset, all_subsets
+from enumerate.subset import Subset, all_subsets, neighbours
+from enumerate.tree import Examined, Leaf, examine, make_roots
 from relax.bound import relax_subset
 from relax.execute import Execution, execute
 from relax.instance import Drive, Instance, make_drive, make_instance
 from relax.plan import Controls
+from relax.proof import Step
 from relax.refinement import Refined, RefineSettings, best_of, refine
 from relax.relaxed_point import RelaxedPoint
 from relax.report import make_report
 from relax.starts import best_start, split_starts
-from relax.tighten import prove
 from relax.trip import Grid, Trip
 
-__all__ = ["MAX_CHARGERS", "Progress", "plan"]
+__all__ = ["FEW_CHARGERS", "MAX_CHARGERS", "Progress", "plan"]
 
-MAX_CHARGERS = 14
-"""More chargers than this are refused: 2^14 relaxations take minutes."""
+MAX_CHARGERS = 64
+"""More chargers than this are refused."""
+FEW_CHARGERS = 4
+"""Up to this many chargers every subset is relaxed by itself; with more, families are: 32
+relaxations of single subsets take longer than the families of five chargers."""
+MAX_PLANNED = 10
+"""Up to this many chargers all subsets can be planned (``prune=False``)."""
 BATCH = 4
-"""Subsets refined before the best plan is updated; fixed, so that any number of workers
-closes the same subsets."""
+"""Subsets or leaves handled before the best plan is updated; fixed, so that any number of
+workers closes the same ones."""
+SAME = 1e-4
+"""Relative rise of a plan's cost by repairs that reopens what was closed against it."""
+OPENING = 12
+"""Leaves looked at before the first plan, when there are many chargers."""
 
 
 @dataclass(frozen=True)
@@ -75,8 +89,8 @@ class _Setting:
     grid: Grid
     refine: RefineSettings
 
-    def instance(self, subset: Subset) -> Instance:
-        return make_instance(self.trip, subset, self.grid, self.drive)
+    def instance(self, subset: Subset, undecided: Subset = ()) -> Instance:
+        return make_instance(self.trip, subset, self.grid, self.drive, undecided)
 
 
 @dataclass(frozen=True)
@@ -86,6 +100,7 @@ class _Node:
     row: Row
     point: RelaxedPoint | None = None
     refined: Refined | None = None
+    steps: tuple[Step, ...] = ()
 
 
 def _relax(setting: _Setting, subset: Subset) -> _Node:
@@ -95,7 +110,8 @@ def _relax(setting: _Setting, subset: Subset) -> _Node:
     programs = int(relaxed.solve_s > 0.0)
     if relaxed.infeasible:
         reason = "the relaxation has no point" if programs else "out of reach by interval bounds"
-        return _Node(Row(subset, Outcome.INFEASIBLE, inf, inf, reason, programs, seconds))
+        row = Row(subset, Outcome.INFEASIBLE, inf, inf, reason, programs, seconds)
+        return _Node(row, steps=relaxed.steps)
     row = Row(
         subset,
         Outcome.UNPROVED,
@@ -103,7 +119,7 @@ def _relax(setting: _Setting, subset: Subset) -> _Node:
         programs=programs,
         seconds=seconds,
     )
-    return _Node(row, relaxed.point)
+    return _Node(row, relaxed.point, steps=relaxed.steps)
 
 
 def _refine(setting: _Setting, node: _Node, starts: list[Controls] | None = None) -> _Node:
@@ -121,22 +137,11 @@ def _refine(setting: _Setting, node: _Node, starts: list[Controls] | None = None
         programs=node.row.programs + sum(r.programs for r in found),
         seconds=node.row.seconds + time.perf_counter() - begin,
     )
-    return _Node(row, node.point, best)
+    return replace(node, row=row, refined=best)
 
 
-def _prove(setting: _Setting, node: _Node, cutoff: float, deadline: float) -> _Node:
-    begin = time.perf_counter()
-    instance = setting.instance(node.row.subset)
-    proof = prove(instance, cutoff, bound=node.row.lower_bound, deadline=deadline)
-    row = replace(
-        node.row,
-        lower_bound=proof.lower_bound,
-        programs=node.row.programs + proof.programs,
-        seconds=node.row.seconds + time.perf_counter() - begin,
-    )
-    if row.outcome is Outcome.UNPROVED and proof.closed:
-        row = replace(row, outcome=Outcome.BOUNDED, reason="closed by tightening")
-    return replace(node, row=row)
+def _examine(setting: _Setting, leaf: Leaf, cutoff: float, deadline: float) -> Examined:
+    return examine(setting.instance, leaf, cutoff, deadline)
 
 
 def _refine_splits(setting: _Setting, node: _Node) -> _Node:
@@ -146,7 +151,7 @@ def _refine_splits(setting: _Setting, node: _Node) -> _Node:
 
 
 class _Search:
-    """State of one search: a node per subset, and when to stop."""
+    """State of one search: the subsets met so far, the account, and when to stop."""
 
     def __init__(
         self,
@@ -154,13 +159,22 @@ class _Search:
         executor: Executor | None,
         deadline: float,
         report: Callable[[Progress], None] | None,
+        single: bool,
+        keep_proofs: bool,
     ) -> None:
         self.setting, self.executor = setting, executor
         self.deadline, self.report = deadline, report
-        self.nodes = {
-            s: _Node(Row(s, Outcome.UNPROVED)) for s in all_subsets(len(setting.trip.chargers))
-        }
+        self.n_chargers = len(setting.trip.chargers)
+        self.account = Account(self.n_chargers, keep_proofs)
+        self.single = single
+        self.nodes: dict[Subset, _Node] = {}
+        if single:
+            every = all_subsets(self.n_chargers)
+            self.nodes = {s: _Node(Row(s, Outcome.UNPROVED)) for s in every}
+        else:
+            self.account.plant(make_roots(self.n_chargers))
         self.execution: Execution | None = None
+        self.driven: Subset | None = None
         self.interrupted = ""
 
     @property
@@ -181,13 +195,18 @@ class _Search:
             batch, nodes = nodes[:BATCH], nodes[BATCH:]
             bound = partial(task, self._setting_now())
             for node in run_in_order(self.executor, bound, batch):
+                if task is _relax_node:
+                    self.account.root(node.row, node.steps)
                 self.nodes[node.row.subset] = node
                 done += 1
                 self._tell(phase, done, done + len(nodes))
-            if phase == "refine":
+            if phase.startswith("refine"):
                 nodes = [n for n in nodes if not self._close(n)]
-            if time.perf_counter() > self.deadline:
-                self.interrupted = "time limit reached"
+            self._look_at_clock()
+
+    def _look_at_clock(self) -> None:
+        if time.perf_counter() > self.deadline:
+            self.interrupted = "time limit reached"
 
     def _setting_now(self) -> _Setting:
         """Return the setting of the next batch: what cannot beat the best plan ends earlier."""
@@ -205,24 +224,34 @@ class _Search:
 
     def _tell(self, phase: str, done: int, total: int) -> None:
         if self.report is not None:
-            bound = min(n.row.lower_bound for n in self.nodes.values())
+            known = [n.row.lower_bound for n in self.nodes.values()] if self.single else [inf]
+            bound = (
+                max(min(known), self.account.open_bound) if self.single else self.account.open_bound
+            )
             self.report(Progress(phase, done, total, self.cost, bound))
 
     def relax(self) -> None:
-        """Bound every subset; plan a promising one as soon as it is known."""
+        """Bound every subset, or families of them; plan a promising one as soon as it is known."""
+        if not self.single:
+            for _ in range(OPENING // BATCH):
+                self._examine_batch(inf)
+            self._plan_new(self.account.suggestions())
+            return
         nodes = self.open()
-        early = [n for n in nodes if len(n.row.subset) <= 1]
-        self.run(_relax_node, early, "relax")
+        self.run(_relax_node, [n for n in nodes if len(n.row.subset) <= 1], "relax")
         known = [n for n in self.open() if n.point is not None]
         self.run(_refine, known[:1], "first plan")
         self.run(_relax_node, [n for n in nodes if len(n.row.subset) > 1], "relax")
 
     def refine(self, prune: bool) -> None:
         """Plan the subsets that may be better than the best plan, most promising first."""
-        if prune:
-            for node in self.open():
-                self._close(node)
-        self.run(_refine, self.open(), "refine" if prune else "refine all")
+        if self.single:
+            if prune:
+                for node in self.open():
+                    self._close(node)
+            self.run(_refine, self.open(), "refine" if prune else "plan all")
+        else:
+            self._climb()
         close = [
             n
             for n in self.nodes.values()
@@ -233,20 +262,59 @@ class _Search:
         ]
         self.run(_refine_splits, close, "further starts")
 
+    def _climb(self) -> None:
+        """Move to better neighbours of the best plan's stops until there is none."""
+        before = inf
+        while self.best is not None and self.cost < before and not self.interrupted:
+            before = self.cost
+            order = [s.charger for s in self.setting.instance(tuple(range(self.n_chargers))).stops]
+            self._plan_new(neighbours(self.best.row.subset, order))
+
+    def _plan_new(self, subsets: Iterable[Subset]) -> None:
+        """Relax and refine subsets not met before."""
+        fresh = [s for s in dict.fromkeys(subsets) if s not in self.nodes]
+        self.run(_relax_node, [_Node(Row(s, Outcome.UNPROVED)) for s in fresh], "relax")
+        met = [self.nodes[s] for s in fresh if s in self.nodes]
+        nodes = [n for n in met if n.row.outcome is Outcome.UNPROVED and not self._close(n)]
+        nodes.sort(key=lambda n: n.row.lower_bound)
+        self.run(_refine, nodes, "refine")
+
     def prove(self, gap: float) -> None:
-        """Raise the bounds of all subsets that are not yet within the gap of the driven plan."""
-        done = self.execution
-        if done is None or done.replay is None:
+        """Cut and bound whatever could be cheaper than the driven plan by more than the gap."""
+        if self.execution is None:
             return
-        cutoff = done.replay.cost - gap * max(abs(done.replay.cost), 1.0)
-        nodes = [
-            n
-            for n in self.nodes.values()
-            if n.row.outcome is not Outcome.INFEASIBLE and n.row.lower_bound < cutoff
-        ]
-        nodes.sort(key=lambda n: -n.row.lower_bound)
-        task = partial(_prove, cutoff=cutoff, deadline=self.deadline)
-        self.run(task, nodes, "prove")
+        if self.single:
+            self.account.plant(
+                Leaf(s, (), n.row.lower_bound, None, (len(s), len(s)))
+                for s, n in self.nodes.items()
+                if n.row.outcome is not Outcome.INFEASIBLE
+            )
+        while not self.interrupted:
+            done = self.execution
+            assert done.replay is not None  # plans that do not hold are refused
+            cutoff = closing_cost(done.replay.cost, gap, done.trajectory.cost)
+            examined = self._examine_batch(cutoff)
+            if not examined:
+                return
+            alone = [e.leaf.subset for e in examined if not e.leaf.undecided and not e.closed]
+            self._plan_new(alone)
+            best = self.best
+            if best is not None and best.row.subset != self.driven:
+                self.drive()
+                if self.execution is None:
+                    return
+
+    def _examine_batch(self, cutoff: float) -> list[Examined]:
+        """Examine the open leaves of least bound."""
+        leaves = self.account.take(BATCH, cutoff)
+        task = partial(_examine, self.setting, cutoff=cutoff, deadline=self.deadline)
+        examined = []
+        for done in run_in_order(self.executor, task, leaves):
+            self.account.enter(done, cutoff)
+            examined.append(done)
+            self._tell("prove" if cutoff < inf else "relax", *self.account.progress)
+        self._look_at_clock()
+        return examined
 
     def open(self) -> list[_Node]:
         """Unsettled nodes, least bound first; ties go to fewer stops."""
@@ -261,8 +329,15 @@ class _Search:
             instance = self.setting.instance(subset)
             done = execute(self.setting.trip, instance, best.refined, self.setting.refine)
             if not done.reason:
-                self.execution = done
-                return
+                self.execution, self.driven = done, subset
+                if done.trajectory.cost <= best.row.cost + SAME * abs(best.row.cost):
+                    return
+                # repaired: others were closed against a cost that does not hold
+                self.nodes[subset] = replace(best, row=replace(best.row, cost=done.trajectory.cost))
+                self._reopen()
+                if self.best is not None and self.best.row.subset == subset:
+                    return
+                continue
             row = replace(
                 best.row,
                 outcome=Outcome.UNPROVED,
@@ -271,6 +346,7 @@ class _Search:
             )
             self.nodes[subset] = replace(best, row=row)
             self._reopen()
+        self.execution = self.driven = None
 
     def _reopen(self) -> None:
         """Look again at the subsets that were closed against a plan which has been refused."""
@@ -294,6 +370,7 @@ def plan(
     grid: Grid | None = None,
     prune: bool = True,
     progress: Callable[[Progress], None] | None = None,
+    keep_proofs: bool = False,
 ) -> Result:
     """Plan a trip: stops, charging, heating and cooling, with a bound on what any plan costs.
 
@@ -318,7 +395,9 @@ def plan(
     prune : bool
         Skip subsets whose bound shows that they cannot be better; False plans them all.
     progress : callable, optional
-        Called with a ``Progress`` after every subset.
+        Called with a ``Progress`` after every subset or leaf.
+    keep_proofs : bool
+        Keep the dual vectors of all bounds in ``result.proofs``, to be written and audited.
 
     Returns
     -------
@@ -329,7 +408,7 @@ def plan(
     Raises
     ------
     ValueError
-        More than 14 chargers, or a gap that is not above 0.
+        More than 64 chargers, or 10 with ``prune=False``; a gap that is not above 0.
 
     Examples
     --------
@@ -340,8 +419,11 @@ def plan(
     (True, True)
     """
     begin = time.perf_counter()
-    if len(trip.chargers) > MAX_CHARGERS:
-        raise ValueError(f"at most {MAX_CHARGERS} chargers, not {len(trip.chargers)}")
+    n_chargers = len(trip.chargers)
+    if n_chargers > MAX_CHARGERS:
+        raise ValueError(f"at most {MAX_CHARGERS} chargers, not {n_chargers}")
+    if not prune and n_chargers > MAX_PLANNED:
+        raise ValueError(f"all subsets of at most {MAX_PLANNED} chargers are planned")
     if gap is not None and not gap > 0.0:
         raise ValueError(f"gap must be above 0, not {gap}")
     grid = grid or trip.grid
@@ -355,7 +437,12 @@ def plan(
         if executor is None and workers > 1:
             executor = stack.enter_context(ThreadPoolExecutor(workers))
         search = _Search(
-            setting, executor, begin + (inf if time_limit_s is None else time_limit_s), progress
+            setting,
+            executor,
+            begin + (inf if time_limit_s is None else time_limit_s),
+            progress,
+            single=not prune or n_chargers <= FEW_CHARGERS,
+            keep_proofs=keep_proofs,
         )
         phases: list[tuple[str, Callable[[], None]]] = [
             ("relax", search.relax),
@@ -384,14 +471,16 @@ def _relax_node(setting: _Setting, node: _Node) -> _Node:
 def _result(search: _Search, gap: float | None, timings: dict[str, float], begin: float) -> Result:
     """Sum up a finished or interrupted search."""
     trip, best, done = search.setting.trip, search.best, search.execution
-    ledger = Ledger(len(trip.chargers), tuple(n.row for n in search.nodes.values()))
     report, replayed, cost = None, None, inf
     if best is not None and done is not None and done.replay is not None:
         report = make_report(trip, search.setting.instance(best.row.subset), done)
         replayed, cost = done.replay, done.replay.cost
+    enough = DEFAULT_GAP if gap is None else gap
+    closing = inf if done is None else closing_cost(cost, enough, done.trajectory.cost)
+    rows = search.account.rows({s: n.row for s, n in search.nodes.items()}, closing)
+    ledger = Ledger(len(trip.chargers), tuple(rows))
     status = Status.UNKNOWN
     if report is not None:
-        enough = DEFAULT_GAP if gap is None else gap
         within = relative_gap(cost, ledger.lower_bound) <= enough * (1.0 + 1e-9)
         status = Status.OPTIMAL if within else Status.FEASIBLE
     elif all(row.outcome is Outcome.INFEASIBLE for row in ledger.rows):
@@ -408,6 +497,8 @@ def _result(search: _Search, gap: float | None, timings: dict[str, float], begin
         plan=report,
         replay=replayed,
         ledger=ledger,
+        programs=search.account.programs + sum(n.row.programs for n in search.nodes.values()),
+        proofs=tuple(search.account.proofs),
         chargers=tuple(c.name for c in trip.chargers),
         timings_s=timings,
         asked_gap=gap,
