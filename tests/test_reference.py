@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 pytest.importorskip("casadi", reason="the nonlinear reference needs CasADi (extra: bench)")
 
@@ -15,7 +16,7 @@ from benchmarks.reference.peer import SOLVERS, build_peer, solve_peer
 from benchmarks.reference.polish import polish, release
 from benchmarks.reference.search import all_subsets, is_out_of_reach, reference_best
 from benchmarks.reference.splines import fit_curve, fit_spline, fit_surface
-from benchmarks.reference.stages import make_stages
+from benchmarks.reference.stages import INTEGRATORS, fit_car, make_stages
 from benchmarks.reference.starts import Start, make_start, single_start, starts
 from relax import load_trip, make_instance, simulate
 from relax.instance import Instance
@@ -304,6 +305,114 @@ def test_occupancy_cost_is_in_the_program() -> None:
     assert paid.cost == pytest.approx(paid.claimed_cost, rel=1e-3)
     dwell = [float(r.trajectory.stops[0].dwell_h.sum()) for r in (free, paid)]
     assert dwell[1] < dwell[0]  # a dear dwell is shorter
+
+
+def test_runge_kutta_integrates_a_driving_step() -> None:
+    """Against an adaptive integration of the same equations, written out here."""
+    instance = make_instance(small_trip(), (1,))
+    car, drive, vehicle = fit_car(instance), instance.drive, instance.vehicle
+    k, start, heater, cooling, pump = 4, [50.0, 5.0], 2.0, 0.0, 0.8
+    d, base, ripple, q_ed, g, ambient, demand = (
+        float(a[k])
+        for a in (
+            drive.duration_h, drive.base_kw, drive.ripple_kw2, drive.drivetrain_heat_kw,
+            drive.heat_loss_kw_per_k, drive.ambient_c, drive.cabin_heat_kw,
+        )
+    )  # fmt: skip
+
+    def rates(_: float, state: np.ndarray) -> list[float]:
+        energy, temp = state
+        heat = car.cop(temp) * pump * (1.0 - vehicle.heat_pump_droop_per_kw * pump)
+        load = base + heater + cooling + pump + (demand - heat) / vehicle.heater_cabin_efficiency
+        r = car.resistance(temp) / car.voltage_squared(energy)
+        power = (1.0 - np.sqrt(1.0 - 4.0 * r * (load + r * ripple))) / (2.0 * r)
+        flow = r * (power**2 + ripple) + q_ed + vehicle.heater_battery_efficiency * heater
+        flow += pump - heat + g * (ambient - temp)
+        return [-power, flow / vehicle.pack.heat_capacity_kwh_per_k]
+
+    step, errors = make_stages(instance, "rk4").step, []
+    for part in (d, 0.25 * d):
+        end = solve_ivp(rates, (0.0, part), start, rtol=1e-12, atol=1e-12).y[:, -1]
+        known = (part, base, ripple, q_ed, g, ambient, demand)
+        power, rise, *_ = (float(v) for v in step(*start, heater, cooling, pump, 0.0, *known))
+        errors.append(np.abs([start[0] - part * power - end[0], start[1] + rise - end[1]]).max())
+    assert errors[0] < 1e-4 and errors[1] < errors[0] / 200.0
+    # the midpoint rule is near, but another one: its residuals are those of its order
+    implicit = make_stages(instance).step
+    residuals = implicit(*start, power, rise, heater, cooling, pump, 0.0, *known)[:2]
+    assert 1e-6 < max(abs(float(v)) for v in residuals) < 1e-2
+
+
+def test_runge_kutta_integrates_a_cell() -> None:
+    instance = make_instance(small_trip(), (1,))
+    car, vehicle, stop = fit_car(instance), instance.vehicle, instance.stops[0]
+    portion, charge_power, heater, pump, start = 8.0, 60.0, 3.0, 0.5, [30.0, 5.0, 0.0]
+
+    def rates(_: float, state: np.ndarray) -> list[float]:
+        energy, temp, _grid = state
+        heat = car.cop(temp) * pump * (1.0 - vehicle.heat_pump_droop_per_kw * pump)
+        loss = car.resistance(temp) / car.voltage_squared(energy) * charge_power**2
+        cabin = (stop.cabin_heat_kw - heat) / vehicle.heater_cabin_efficiency
+        flow = loss + vehicle.heater_battery_efficiency * heater + pump - heat
+        flow += stop.heat_loss_kw_per_k * (stop.ambient_c - temp)
+        grid = charge_power + loss + stop.base_kw + heater + pump + cabin
+        return [charge_power, flow / vehicle.pack.heat_capacity_kwh_per_k, grid]
+
+    dwell = portion / charge_power
+    end = solve_ivp(rates, (0.0, dwell), start, rtol=1e-11, atol=1e-11).y[:, -1]
+    rise, _, _, spent, grid, _ = (
+        float(v)
+        for v in make_stages(instance, "rk4").cell(
+            *start[:2], portion, charge_power, heater, 0.0, pump,
+            stop.base_kw, stop.heat_loss_kw_per_k, stop.ambient_c, stop.cabin_heat_kw,
+        )
+    )  # fmt: skip
+    assert spent == dwell
+    assert start[1] + rise == pytest.approx(end[1], abs=2e-5)
+    assert grid * dwell == pytest.approx(end[2], abs=2e-5)
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_runge_kutta_and_midpoint_meet_on_a_finer_grid(solver: str) -> None:
+    apart = []
+    for grid in (Grid(40.0, 2), Grid(20.0, 4), Grid(10.0, 8)):
+        instance = make_instance(replace(small_trip(), grid=grid), (1,))
+        runs = [
+            solve_peer(build_peer(instance, solver, integrator=i), single_start(instance))
+            for i in INTEGRATORS
+        ]
+        assert all(run.success and run.feasible for run in runs)
+        assert runs[1].cost == pytest.approx(runs[0].cost, rel=2e-3)  # the same controls, nearly
+        apart.append(abs(runs[1].claimed_cost / runs[0].claimed_cost - 1.0))
+    assert 1e-7 < apart[2] < 0.5 * apart[1] < 0.25 * apart[0]
+    with pytest.raises(ValueError, match="unknown integrator"):
+        build_peer(instance, solver, integrator="euler")
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_the_limit_of_all_time_at_stops_is_kept(solver: str) -> None:
+    trip = small_trip()
+    free = solve_peer(
+        build_peer(make_instance(trip, (0, 2)), solver), single_start(make_instance(trip, (0, 2)))
+    )
+    dwell = sum(float(s.dwell_h.sum()) for s in free.trajectory.stops)
+    detours = sum(c.detour_in_h + c.detour_out_h for c in (trip.chargers[0], trip.chargers[2]))
+    trip = replace(trip, stop_time_h=detours + 0.97 * dwell)
+    instance = make_instance(trip, (0, 2))
+    run = solve_peer(build_peer(instance, solver), single_start(instance))
+    assert run.success and run.feasible and run.cost > free.cost
+    stopped = sum(float(s.dwell_h.sum()) for s in run.trajectory.stops)
+    assert stopped == pytest.approx(0.97 * dwell, rel=2e-3) and stopped <= 0.97 * dwell + 1e-5
+    assert is_out_of_reach(make_instance(replace(trip, stop_time_h=0.9 * detours), (0, 2)))
+
+
+def test_a_start_above_the_largest_charge_is_no_contradiction() -> None:
+    trip = replace(small_trip(), soc_max=0.8)
+    instance = make_instance(trip, (1,))
+    assert instance.start_energy_kwh > instance.energy_max_kwh
+    run = solve_peer(build_peer(instance, "ipopt"), single_start(instance))
+    assert run.success and run.feasible
+    assert run.trajectory.energy_kwh[1] > instance.energy_max_kwh
 
 
 def test_benchmarks_smoke(tmp_path, capsys) -> None:  # type: ignore[no-untyped-def]

@@ -15,15 +15,29 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from benchmarks.reference.nlp import COST_SCALE, LIMIT_SCALE_KW, SCALES, Model, make_model
+from benchmarks.reference.nlp import make_model
 from benchmarks.reference.polish import polish, release
-from benchmarks.reference.stages import Stages, make_stages
+from benchmarks.reference.program import COST_SCALE, LIMIT_SCALE_KW, SCALES, Model
+from benchmarks.reference.stages import Stages
 from benchmarks.reference.starts import Start, make_start
 from relax.instance import Instance
 from relax.plan import Controls, Trajectory
 from relax.refinement import FEASIBLE, NEARLY_FEASIBLE, is_feasible
 
-__all__ = ["CAREFUL", "FAST", "SOLVERS", "Peer", "PeerSettings", "Run", "build_peer", "solve_peer"]
+__all__ = [
+    "CAREFUL",
+    "FAST",
+    "MAX_REPAIRS",
+    "REPAIR_MARGIN",
+    "SOLVERS",
+    "Peer",
+    "PeerSettings",
+    "Run",
+    "build_peer",
+    "evaluation_s",
+    "solve_peer",
+    "tightened",
+]
 
 Array = npt.NDArray[np.float64]
 
@@ -157,6 +171,7 @@ def build_peer(
     stages: Stages | None = None,
     lazy: bool = True,
     settings: PeerSettings | None = None,
+    integrator: str = "midpoint",
 ) -> Peer:
     """Write the program of an instance and build a solver for it.
 
@@ -172,11 +187,13 @@ def build_peer(
         Leave the discharge limit out at first: half the work of an iteration.
     settings : PeerSettings, optional
         How it is run; ``FAST`` by default.
+    integrator : str
+        ``midpoint`` or ``rk4``; that of ``stages`` if they are given.
 
     Raises
     ------
     ValueError
-        Unknown solver.
+        Unknown solver or integrator.
 
     Examples
     --------
@@ -189,20 +206,21 @@ def build_peer(
         raise ValueError(f"unknown solver {solver!r}; known: {', '.join(SOLVERS)}")
     settings = settings or FAST[solver]
     begin = perf_counter()
-    model = make_model(instance, stages or make_stages(instance), not lazy)
+    model = make_model(instance, stages, not lazy, integrator)
     function = ca.nlpsol(solver, solver, model.program, _options(solver, model, settings))
     return Peer(solver, model, function, lazy, settings, perf_counter() - begin)
 
 
-def _evaluation_s(stats: dict[str, Any]) -> float:
+def evaluation_s(stats: dict[str, Any]) -> float:
+    """Return the time that a solver spent in functions and derivatives [s]."""
     return sum(float(v) for k, v in stats.items() if k.startswith("t_wall_nlp_"))
 
 
 def solve_peer(peer: Peer, start: Start) -> Run:
     """Solve from a start, then polish and judge the plan on the tables.
 
-    A plan that misses a temperature limit on the tables is solved again with that limit
-    tightened, from where it is; one that misses the discharge limit, with that limit
+    A plan that misses a limit of temperature or dwell on the tables is solved again with that
+    limit tightened, from where it is; one that misses the discharge limit, with that limit
     written.
 
     Parameters
@@ -223,35 +241,38 @@ def solve_peer(peer: Peer, start: Start) -> Run:
     """
     model, instance = peer.model, peer.model.instance
     point = make_start(model, start)
-    hot, room = 0.0, 0.0
-    build_s = solve_s = evaluation_s = judge_s = 0.0
+    hot = room = long = 0.0
+    build_s = solve_s = evaluated_s = judge_s = 0.0
     iterations = 0
     for _ in range(1 + MAX_REPAIRS):
-        x_lo, x_hi, g_lo = _tightened(peer, hot, room)
+        x_lo, x_hi, g_lo, g_hi = tightened(model, hot, room, long)
         begin = perf_counter()
-        answer = peer.function(x0=point, lbx=x_lo, ubx=x_hi, lbg=g_lo, ubg=model.g_hi)
+        answer = peer.function(x0=point, lbx=x_lo, ubx=x_hi, lbg=g_lo, ubg=g_hi)
         judged = perf_counter()
         stats = peer.function.stats()
         planned = model.controls(np.array(answer["x"]).ravel())
         controls, trajectory = polish(instance, release(instance, planned))
         solve_s += judged - begin
         judge_s += perf_counter() - judged
-        evaluation_s += _evaluation_s(stats)
+        evaluated_s += evaluation_s(stats)
         iterations += int(stats["iter_count"])
         success, feasible = bool(stats["success"]), is_feasible(trajectory)
         if feasible or not (success or float(trajectory.violation.max()) < NEARLY_FEASIBLE):
             break
-        _, kelvin, kilowatt, _ = trajectory.violation.tolist()
+        _, kelvin, kilowatt, hours = trajectory.violation.tolist()
         if kilowatt > FEASIBLE and peer.lazy:
-            peer = build_peer(instance, peer.solver, lazy=False, settings=peer.settings)
+            peer = build_peer(
+                instance, peer.solver, None, False, peer.settings, peer.model.integrator
+            )
             model = peer.model
             build_s += peer.build_s
             point = make_start(model, start)
             continue
-        if max(kelvin, kilowatt) <= FEASIBLE:
+        if max(kelvin, kilowatt, hours) <= FEASIBLE:
             break
         hot += REPAIR_MARGIN * kelvin
         room += REPAIR_MARGIN * kilowatt
+        long += REPAIR_MARGIN * hours
         point = np.array(answer["x"]).ravel()
     return Run(
         success=success,
@@ -264,15 +285,28 @@ def solve_peer(peer: Peer, start: Start) -> Run:
         trajectory=trajectory,
         build_s=build_s,
         solve_s=solve_s,
-        evaluation_s=evaluation_s,
+        evaluation_s=evaluated_s,
         judge_s=judge_s,
     )
 
 
-def _tightened(peer: Peer, hot_k: float, room_kw: float) -> tuple[Array, Array, Array]:
-    """Return variable bounds and lower constraint bounds with limits tightened."""
-    model = peer.model
-    x_lo, x_hi, g_lo = model.x_lo, model.x_hi, model.g_lo
+def tightened(
+    model: Model, hot_k: float, room_kw: float, long_h: float
+) -> tuple[Array, Array, Array, Array]:
+    """Return bounds of variables and of constraints with limits tightened.
+
+    Parameters
+    ----------
+    model : Model
+        The program.
+    hot_k : float
+        By how much the limits of temperature move inwards [K].
+    room_kw : float
+        By how much the discharge limit does [kW].
+    long_h : float
+        By how much the limits of dwells do [h].
+    """
+    x_lo, x_hi, g_lo, g_hi = model.x_lo, model.x_hi, model.g_lo, model.g_hi
     if hot_k > 0.0:
         margin = np.zeros(x_lo.size)
         rows = (*model.steps, *(row for stop in model.cells for row in stop), model.last)
@@ -283,4 +317,7 @@ def _tightened(peer: Peer, hot_k: float, room_kw: float) -> tuple[Array, Array, 
     if room_kw > 0.0:
         g_lo = g_lo.copy()
         g_lo[list(model.discharge)] += room_kw / LIMIT_SCALE_KW
-    return x_lo, x_hi, g_lo
+    if long_h > 0.0:
+        g_hi = g_hi.copy()
+        g_hi[list(model.dwell)] -= long_h / SCALES["dwell"]
+    return x_lo, x_hi, g_lo, g_hi

@@ -67,7 +67,9 @@ def all_subsets(count: int) -> list[tuple[int, ...]]:
 
 
 def is_out_of_reach(instance: Instance) -> bool:
-    """Return whether even lossless driving from full batteries strands the car: no false alarms.
+    """Return whether even lossless driving from full batteries, or the detours, take too much.
+
+    No false alarms.
 
     Examples
     --------
@@ -77,6 +79,8 @@ def is_out_of_reach(instance: Instance) -> bool:
     [True, False]
     """
     car, drive = instance.vehicle, instance.drive
+    if instance.stops and instance.total_dwell_h <= 0.0:
+        return True
     cop = float(car.heat_pump_cop.f.max())
     pump = np.minimum(car.heat_pump_kw, drive.cabin_heat_kw / cop)
     cabin = np.minimum(
@@ -124,6 +128,7 @@ def reference_best(
     file: Path | None = None,
     progress: Callable[[dict[str, Any]], None] | None = None,
     settings: Mapping[str, PeerSettings] = FAST,
+    integrator: str = "midpoint",
 ) -> Reference:
     """Return the best plan over all 2^N subsets.
 
@@ -141,6 +146,8 @@ def reference_best(
         Called with every row.
     settings : mapping of str to PeerSettings
         How the solver is run, by its name.
+    integrator : str
+        ``midpoint`` or ``rk4``.
 
     Returns
     -------
@@ -165,7 +172,7 @@ def reference_best(
         instance = make_instance(trip, subset, drive=drive)
         if is_out_of_reach(instance):
             continue
-        stages = stages or make_stages(instance)
+        stages = stages or make_stages(instance, integrator)
         peer = build_peer(instance, solver, stages, settings=settings[solver])
         build_s, failed, found = peer.build_s, 0, False
         for start in starts(instance) if multi_start else (single_start(instance),):

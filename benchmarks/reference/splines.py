@@ -19,7 +19,7 @@ from scipy.interpolate import PPoly, make_lsq_spline
 
 from relax.maps import Table1, Table2
 
-__all__ = ["Spline", "SplineSum", "fit_curve", "fit_spline", "fit_surface"]
+__all__ = ["Spline", "SplineSum", "cut", "fit_curve", "fit_spline", "fit_surface"]
 
 Array = npt.NDArray[np.float64]
 
@@ -175,7 +175,7 @@ def fit_spline(
     )
 
 
-def _cut(grid: Array, lo: float, hi: float) -> Array:
+def cut(grid: Array, lo: float, hi: float) -> Array:
     """Return the nodes of a table's axis on [lo, hi] within its domain."""
     lo, hi = max(lo, float(grid[0])), min(hi, float(grid[-1]))
     apart = 1e-6 * (hi - lo)  # a node that is an end but for rounding is no node of its own
@@ -191,7 +191,7 @@ def fit_curve(table: Table1, lo: float, hi: float) -> Spline:
     >>> fit_curve(Table1([0.0, 4.0], [1.0, 3.0]), 1.0, 2.0)(1.5)
     1.75
     """
-    x = _cut(table.x, lo, hi)
+    x = cut(table.x, lo, hi)
     return fit_spline(x, table(x))
 
 
@@ -210,7 +210,7 @@ def fit_surface(table: Table2, x_lo: float, x_hi: float, y_lo: float, y_hi: floa
     >>> len(surface.terms), round(float(surface(0.5, 0.5)), 9)
     (1, 2.25)
     """
-    x, y = _cut(table.x, x_lo, x_hi), _cut(table.y, y_lo, y_hi)
+    x, y = cut(table.x, x_lo, x_hi), cut(table.y, y_lo, y_hi)
     values = table(*np.meshgrid(x, y, indexing="ij"))
     left, singular, right = np.linalg.svd(values, full_matrices=False)
     rank = int(np.count_nonzero(singular > RANK_TOLERANCE * singular[0]))

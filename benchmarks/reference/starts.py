@@ -11,7 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from benchmarks.reference.nlp import MIN_CHARGE_KW, Model
+from benchmarks.reference.nlp import MIN_CHARGE_KW
+from benchmarks.reference.program import Model
 from relax.instance import MIN_CHARGE_KWH, Instance, Stop
 
 __all__ = ["Start", "make_start", "single_start", "starts"]
@@ -135,7 +136,8 @@ def make_start(model: Model, start: Start) -> Array:
             spent = 0.0
             for j, row in enumerate(model.cells[stop_index]):
                 put(row, energy=inside(float(middle[j]) - 0.5 * charge / cells), temperature=temp)
-                put(row, charge=charge, dwell=spent, charge_power=float(rates[j]), **guesses)
+                put(row, use=1.0, charge=charge, dwell=spent)
+                put(row, charge_power=float(rates[j]), **guesses)
                 spent += charge / cells / float(rates[j])
                 put(row, over=max(spent - stop.occupancy_free_h, 0.0) + 0.01)
             energy = inside(energy - stop.detour_in_kwh + charge - stop.detour_out_kwh)
