@@ -22,13 +22,21 @@ lint: $(VENV)/.dev
 types: $(VENV)/.dev
 	$(BIN)/mypy
 
-bench: $(VENV)/.dev  ## compare with the nonlinear references
-	$(BIN)/python -m benchmarks.optimality
+bench: $(VENV)/.dev  ## compare with all peers; takes hours, resumes where it was stopped
+	$(BIN)/python -m benchmarks.compare
+	$(BIN)/python -m benchmarks.scale
+	$(BIN)/python -m benchmarks.floor
+	$(BIN)/python -m benchmarks.report
+	$(BIN)/python -m benchmarks.optimality --resume
 	$(BIN)/python -m benchmarks.speed
 
 bench-smoke: $(VENV)/.dev  ## one small case of each benchmark
 	$(BIN)/python -m benchmarks.optimality --smoke
 	$(BIN)/python -m benchmarks.speed --smoke
+	$(BIN)/python -m benchmarks.compare --smoke
+	$(BIN)/python -m benchmarks.scale --smoke
+	$(BIN)/python -m benchmarks.floor --smoke
+	$(BIN)/python -m benchmarks.report --smoke
 
 $(VENV)/.base:
 	$(PYTHON) -c 'import sys; sys.exit("evrelax needs Python 3.11 or later" if sys.version_info < (3, 11) else 0)'

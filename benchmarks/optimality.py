@@ -16,8 +16,6 @@ import argparse
 import csv
 import sys
 from collections.abc import Iterator
-from dataclasses import replace
-from itertools import product
 from math import exp, inf, isfinite, log, nan
 from pathlib import Path
 from time import perf_counter
@@ -29,21 +27,16 @@ from benchmarks.machine import make_single_threaded, processor, versions
 
 make_single_threaded()
 
-from benchmarks.reference.peer import CAREFUL, SOLVERS, Run  # noqa: E402
+from benchmarks.cases import PAPER_CASES, load_paper, small  # noqa: E402
+from benchmarks.judge import judge  # noqa: E402
+from benchmarks.reference.peer import CAREFUL, SOLVERS  # noqa: E402
 from benchmarks.reference.search import reference_best  # noqa: E402
 from enumerate import plan  # noqa: E402
-from relax import load_trip  # noqa: E402
-from relax.execute import execute  # noqa: E402
-from relax.instance import make_instance  # noqa: E402
-from relax.refinement import Refined  # noqa: E402
-from relax.trip import Grid, Trip  # noqa: E402
+from relax.trip import Trip  # noqa: E402
 
-__all__ = ["CASES", "load_case", "main", "our_row", "reference_row", "summary"]
+__all__ = ["CASES", "main", "our_row", "reference_row", "summary"]
 
-AMBIENT_C = (-10.0, 0.0, 10.0)
-HEAT_PUMP_KW = (0.0, 1.0, 3.0)
-TIME_VALUE_PER_H = (0.0, 40.0, 400.0)
-CASES = tuple(product(AMBIENT_C, HEAT_PUMP_KW, TIME_VALUE_PER_H))
+CASES = PAPER_CASES
 """Ambient temperature [degrees C], heat pump [kW], value of time [SEK/h]."""
 RESULTS = Path(__file__).parent / "results"
 """Where result files go."""
@@ -70,33 +63,6 @@ COLUMNS = (
 )
 """Columns of the result file."""
 Row = dict[str, Any]
-
-
-def load_case(case: tuple[float, float, float]) -> Trip:
-    """Return the trip of a case.
-
-    Examples
-    --------
-    >>> trip = load_case((0.0, 3.0, 400.0))
-    >>> trip.vehicle.heat_pump_kw, trip.time_value_per_h
-    (3.0, 400.0)
-    """
-    ambient, heat_pump, time_value = case
-    return load_trip(
-        "paper-400km",
-        overrides={
-            "route.ambient_c": ambient,
-            "vehicle.heat_pump_kw": heat_pump,
-            "objective.time_value_per_h": time_value,
-        },
-    )
-
-
-def _replayed_cost(trip: Trip, subset: tuple[int, ...], run: Run) -> float:
-    """Return the cost of a reference plan on the continuous model; NaN if it does not hold."""
-    refined = Refined(run.controls, run.trajectory, run.feasible, 0, 0.0)
-    done = execute(trip, make_instance(trip, subset), refined)
-    return done.replay.cost if done.replay is not None and not done.reason else nan
 
 
 def our_row(trip: Trip) -> Row:
@@ -134,7 +100,7 @@ def reference_row(trip: Trip, solver: str, multi_start: bool = True) -> Row:
         "claimed_cost": inf if best is None else best.claimed_cost,
         "cost": inf if best is None else best.cost,
         "replayed_cost": (
-            inf if best is None else _replayed_cost(trip, reference.best_subset, best)
+            inf if best is None else judge(trip, reference.best_subset, best.controls).replayed_cost
         ),
         "feasible": best is not None,
         "lower_bound": -inf,
@@ -168,9 +134,9 @@ def _measure(
     where = {"processor": processor(), "versions": " ".join(f"{k}={v}" for k, v in
              versions().items())}  # fmt: skip
     for case, solver in tqdm(todo, file=sys.stderr, desc="optimality", disable=None):
-        trip = load_case(case)
+        trip = load_paper(*case)
         if smoke:
-            trip = replace(trip, chargers=trip.chargers[1:], grid=Grid(20.0, 4))
+            trip = small(trip)
         row = our_row(trip) if solver == "evrelax" else reference_row(trip, solver, not smoke)
         ambient, heat_pump, time_value = case
         yield {

@@ -15,7 +15,6 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from dataclasses import replace
 from pathlib import Path
 from statistics import median
 from time import perf_counter
@@ -27,11 +26,12 @@ from benchmarks.machine import make_single_threaded, processor, versions
 
 make_single_threaded()
 
+from benchmarks.cases import small  # noqa: E402
 from benchmarks.reference.peer import SOLVERS  # noqa: E402
 from benchmarks.reference.search import reference_best  # noqa: E402
 from enumerate import plan  # noqa: E402
 from relax import load_trip  # noqa: E402
-from relax.trip import Grid, Trip  # noqa: E402
+from relax.trip import Trip  # noqa: E402
 
 __all__ = ["main", "measure", "table"]
 
@@ -151,7 +151,7 @@ def main(arguments: list[str] | None = None) -> int:
     if repeats < 1:
         parser.error("--repeats must be at least 1")
     if options.smoke:
-        trip, repeats = replace(trip, chargers=trip.chargers[1:], grid=Grid(20.0, 4)), 1
+        trip, repeats = small(trip), 1
     rounds = measure(trip, repeats)
     file = options.file or RESULTS / ("speed-smoke.json" if options.smoke else "speed.json")
     file.parent.mkdir(parents=True, exist_ok=True)

@@ -1,0 +1,277 @@
+"""Owns the sections of the benchmark page but its first paragraph: lines of Markdown from figures.
+
+Every function takes a summary (``summary.summarise``) or rows and returns lines; nothing is
+computed here that a test of ``summary`` would have to know.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from benchmarks import floor, scale
+from benchmarks.cases import GROUPS, SEEDS
+from benchmarks.contestants import CONTESTANTS, FAST, OURS
+from benchmarks.rows import Row, is_true, number
+from benchmarks.summary import latest
+from enumerate.gap import relative_gap
+
+__all__ = [
+    "case_section",
+    "claims_section",
+    "contestants_section",
+    "floor_section",
+    "growth_section",
+    "head",
+    "percent",
+    "plain",
+    "savings_section",
+    "some",
+    "time_section",
+]
+
+NAMED = 3
+"""Cases that a sentence names at most."""
+
+
+def percent(share: float | None, digits: int = 2) -> str:
+    """Return a share in percent; a dash if there is none."""
+    return "-" if share is None else f"{100.0 * share:.{digits}f} %"
+
+
+def plain(value: float | None, digits: int = 2) -> str:
+    """Return a number; a dash if there is none."""
+    return "-" if value is None else f"{value:.{digits}f}"
+
+
+def some(cases: list[str]) -> str:
+    """Return the first few cases by name and the number of the others."""
+    more = f" and {len(cases) - NAMED} more" if len(cases) > NAMED else ""
+    return ", ".join(f"`{case}`" for case in cases[:NAMED]) + more
+
+
+def head(summary: Row, command: str) -> list[str]:
+    """Return when, where and with what it was measured."""
+    dates = summary["dates"]
+    when = dates[0] if len(dates) == 1 else f"{dates[0]} to {dates[-1]}"
+    machine, packages = "; ".join(summary["processors"]), "; ".join(summary["versions"])
+    return [
+        f"Written by `{command}`; do not edit. Measured on {when} on {machine} with {packages}."
+        " One thread, one core. The machine may be shared and noisy: ratios say more than times.",
+        *(
+            [f"The judge changed between rows: {len(summary['judges'])} versions of it."]
+            if len(summary["judges"]) > 1
+            else []
+        ),
+    ]
+
+
+WORDS = {
+    "paper": "variants of `paper-400km` (-10, 0, 10 C; heat pump 0, 1, 3 kW; 0, 40, 400 SEK/h)",
+    "corridor": "other shipped trips",
+    "random": f"random trips (of the seeds {SEEDS[0]} to {SEEDS[-1]}, none left out)",
+}
+
+
+def _groups(summary: Row) -> str:
+    return ", ".join(f"{n} {WORDS.get(group, group)}" for group, n in summary["groups"].items())
+
+
+def contestants_section(summary: Row) -> list[str]:
+    """Return cases and solvers."""
+    settings = "; ".join(summary["settings"])
+    lines = [
+        "## Who and what",
+        "",
+        f"{summary['cases']} cases: {_groups(summary)}. Settings: {settings}. Nobody has a plan"
+        f" in {len(summary['without_plan'])}"
+        + (f" ({some(summary['without_plan'])})" if summary["without_plan"] else "")
+        + ".",
+        "",
+        "| solver | what it is | version |",
+        "|---|---|---|",
+    ]
+    for name, s in summary["solvers"].items():
+        lines.append(f"| `{name}` | {s['words']} | {'<br>'.join(s['versions'])} |")
+    missing = [c.name for c in CONTESTANTS if c.name not in summary["solvers"]]
+    if missing:
+        lines += ["", "Without rows here: " + ", ".join(f"`{name}`" for name in missing) + "."]
+    return lines
+
+
+def claims_section(summary: Row) -> list[str]:
+    """Return what the judge says of the claims."""
+    lines = [
+        "## Claims and what the judge says",
+        "",
+        "Every plan, ours too, is driven on the continuous model by the same judge"
+        " (`benchmarks/judge.py`). *Holds*: drives, perhaps after one repair by our refinement"
+        " (*repaired*). *Correct*: holds as it is, at a cost within "
+        f"{percent(summary['claim_tolerance'], 1)} of the claim. *Above best*: judged cost over"
+        " the best judged cost of any solver, less 1. *Gap*: judged cost against the solver's own"
+        " bound; *undercut*: bounds above the cost of a known plan on the transcription.",
+        "",
+        "| solver | cases with a plan | holds | repaired | correct | above best: mean | worst"
+        " | bounds | undercut | gap: median | largest |",
+        "|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|",
+    ]
+    for name, s in summary["solvers"].items():
+        rate = f" ({100.0 * s['correct'] / s['possible']:.0f} %)" if s["possible"] else ""
+        lines.append(
+            f"| `{name}` | {s['possible']} | {s['held']} | {s['repaired']} | {s['correct']}{rate} "
+            f"| {percent(s['mean_excess'], 4)} | {percent(s['worst_excess'], 3)} "
+            f"| {s['bounds']} | {s['bounds_undercut']} | {percent(s['median_gap'])} "
+            f"| {percent(s['largest_gap'])} |"
+        )
+    return lines
+
+
+def time_section(summary: Row) -> list[str]:
+    """Return times, and those of the peers as multiples of ours."""
+    lines = [
+        "## Time",
+        "",
+        f"Geometric means of time + {summary['shift_s']:g} s, less {summary['shift_s']:g} s, over"
+        " all cases that gave an answer; *slowest* and *sum* over the same. Of the peers this"
+        " counts all they do, correcting their plan on the tables included.",
+        "",
+        "| solver | answers | mean s | slowest s | sum s | programs, median | stopped |",
+        "|---|---:|---:|---:|---:|---:|---:|",
+    ]
+    for name, s in summary["solvers"].items():
+        lines.append(
+            f"| `{name}` | {s['cases'] - s['stopped']} | {plain(s['time_s'], 3)} "
+            f"| {plain(s['slowest_s'])} | {plain(s['sum_s'], 1)} "
+            f"| {plain(s['median_programs'], 0)} | {s['stopped']} |"
+        )
+    if summary["against"]:
+        lines += [
+            "",
+            "Their time as a multiple of ours where both have a plan (above 1: we are faster)."
+            " Theirs is building and solving, or solving alone; ours is everything: bounds, plan"
+            f" and drive. Who gives bounds is compared with `{OURS}` where its proof is complete,"
+            f" who gives none with `{FAST}`.",
+            "",
+            "| peer | against | cases | with building: geometric mean (least to largest)"
+            " | solving alone | cheaper there | cheaper here | plan only there | only here |",
+            "|---|---|---:|---:|---:|---:|---:|---:|---:|",
+        ]
+    for name, a in summary["against"].items():
+        ratio = [
+            f"{plain(a[f'ratio_{way}_build'])} ({plain(a[f'least_ratio_{way}_build'], 3)} to "
+            f"{plain(a[f'largest_ratio_{way}_build'])})"
+            for way in ("with", "without")
+        ]
+        lines.append(
+            f"| `{name}` | `{a['ours']}` | {a['timed']} | {ratio[0]} | {ratio[1]} "
+            f"| {len(a['cheaper'])} | {len(a['dearer'])} | {len(a['plan_only_there'])} "
+            f"| {len(a['plan_only_here'])} |"
+        )
+    return lines
+
+
+def _bin_words(entry: Row) -> str:
+    lo, hi = entry["from_c"], entry["to_c"]
+    if lo is None:
+        return f"below {hi:g}"
+    return f"{lo:g} and above" if hi is None else f"{lo:g} to {hi:g}"
+
+
+def savings_section(summary: Row) -> list[str]:
+    """Return what is saved against drivers with rules."""
+    if not summary["savings"]:
+        return []
+    lines = [
+        "## Against drivers with rules",
+        "",
+        f"What the plan of `{FAST}` saves on average, by mean ambient temperature: charging and"
+        " detour time; money paid (energy, occupancy, stops); the whole cost, time included."
+        " Shares of the driver's own.",
+        "",
+        "| driver | ambient C | cases | driver does not arrive | minutes | money | cost |",
+        "|---|---|---:|---:|---:|---:|---:|",
+    ]
+    for name, entries in summary["savings"].items():
+        lines += [
+            f"| `{name}` | {_bin_words(e)} | {e['cases']} | {e['driver_fails']} "
+            f"| {plain(e['saved_min'], 1)} | {percent(e['saved_paid'], 1)} "
+            f"| {percent(e['saved_cost'], 1)} |"
+            for e in entries
+        ]
+    return lines
+
+
+def case_section(rows: Iterable[Row]) -> list[str]:
+    """Return one line per case."""
+    lines = [
+        "## Case by case",
+        "",
+        f"Cost as judged; the gap and the time of `{FAST}` and of `{OURS}`; the best peer that"
+        " optimises.",
+        "",
+        f"| case | `{FAST}` cost | gap | s | `{OURS}` cost | gap | s | best peer | cost | s |",
+        "|---|---:|---:|---:|---:|---:|---:|---|---:|---:|",
+    ]
+    cases = latest(rows)
+    order = [*GROUPS, *sorted({row["group"] for by in cases.values() for row in by.values()})]
+    for case in sorted(cases, key=lambda c: order.index(c.split("/", 1)[0])):
+        by = cases[case]
+        cells = []
+        for name in (FAST, OURS):
+            row = by.get(name)
+            if row is None:
+                cells.append(" | | ")
+            elif not is_true(row, "feasible"):
+                said = "infeasible" if is_true(row, "claims_infeasible") else row["outcome"]
+                cells.append(f"{said} | - | {number(row, 'total_s'):.2f}")
+            else:
+                gap = relative_gap(number(row, "replayed_cost"), number(row, "lower_bound"))
+                cells.append(
+                    f"{number(row, 'replayed_cost'):.3f} | {100.0 * gap:.2f} % "
+                    f"| {number(row, 'total_s'):.2f}"
+                )
+        peers = [r for r in by.values() if r["kind"] == "peer" and is_true(r, "feasible")]
+        best = min(peers, key=lambda r: number(r, "replayed_cost"), default=None)
+        other = "- | - | -"
+        if best is not None:
+            other = (
+                f"`{best['solver']}` | {number(best, 'replayed_cost'):.3f} "
+                f"| {number(best, 'build_s') + number(best, 'solve_s'):.2f}"
+            )
+        lines.append(f"| {case} | {' | '.join(cells)} | {other} |")
+    return lines
+
+
+def growth_section(rows: list[Row]) -> list[str]:
+    """Return how time and memory grow."""
+    return [
+        "## How it grows",
+        "",
+        f"`python -m benchmarks.scale`: one trip of `paper-400km` ({scale.BASE[0]:g} C, heat pump"
+        f" {scale.BASE[1]:g} kW, {scale.BASE[2]:g} SEK/h), one thing varied at a time. Each"
+        " point in a process of its own; memory is its peak. What the time limit stopped counts in"
+        " no fit.",
+        "",
+        scale.fits_table(scale.fits(rows)),
+        "",
+        scale.table(rows),
+        "",
+        "### Where the time goes",
+        "",
+        "First and last point of each sweep. *Reach*: boxes; *certify*: safe bounds; *refine*:"
+        " everything of it but its quadratic programs, which are under *solve*.",
+        "",
+        scale.parts_table(rows),
+    ]
+
+
+def floor_section(rows: list[Row]) -> list[str]:
+    """Return how near we are to the solver's own time."""
+    return [
+        "## The floor",
+        "",
+        "`python -m benchmarks.floor`: with the programs we solve, the time that Clarabel itself"
+        " reports for them (its setup included) cannot be avoided. *In its calls* adds handing the"
+        " data over; *all* is the whole plan.",
+        "",
+        floor.table(floor.summarise(rows)),
+    ]
