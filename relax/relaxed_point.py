@@ -8,6 +8,7 @@ nothing of rows and of solvers.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -111,7 +112,12 @@ def unpack_point(program: ConeProgram, x: Array) -> RelaxedPoint:
     )
 
 
-def lift(instance: Instance, program: ConeProgram, trajectory: Trajectory) -> Array:
+def lift(
+    instance: Instance,
+    program: ConeProgram,
+    trajectory: Trajectory,
+    subset: tuple[int, ...] | None = None,
+) -> Array:
     """Return the vector that a trajectory of the transcription has in a relaxation.
 
     Parameters
@@ -122,6 +128,8 @@ def lift(instance: Instance, program: ConeProgram, trajectory: Trajectory) -> Ar
         From ``build_relaxation``.
     trajectory : Trajectory
         From ``simulate``.
+    subset : tuple of int, optional
+        The trajectory's chargers, if the instance has optional stops besides.
 
     Returns
     -------
@@ -159,6 +167,7 @@ def lift(instance: Instance, program: ConeProgram, trajectory: Trajectory) -> Ar
         ("brake", trajectory.brake_kw),
     ):
         put(name, value)
+    on = np.array([subset is None or s.charger in subset for s in instance.stops], dtype=bool)
     stops = trajectory.stops
     if stops:
         dwell = np.array([s.dwell_h for s in stops])
@@ -167,21 +176,54 @@ def lift(instance: Instance, program: ConeProgram, trajectory: Trajectory) -> Ar
         middle = 0.5 * (border[:, 1:] + border[:, :-1])
         charge_limit = instance.vehicle.pack.charge_limit_kw
         limit = charge_limit(0.5 * (energy[:, 1:] + energy[:, :-1]), middle)
-        free = np.array([s.occupancy_free_h for s in instance.stops])
-        detour = np.array([s.detour_out_kwh for s in instance.stops])
-        put("charge", energy[:, -1] - energy[:, 0])
-        put("leave", energy[:, -1] - detour)
-        put("stop_temperature", border[:, 1:])
-        put("dwell", dwell)
-        put("temp_dwell", middle * dwell)
-        put("cell_loss", [s.loss_kwh for s in stops])
-        put("cell_limit", limit)
-        put("occupied", np.maximum(0.0, dwell.sum(axis=1) - free))
+        free = np.array([s.occupancy_free_h for s in instance.stops])[on]
+
+        def put_used(name: str, value: npt.ArrayLike) -> None:
+            value = np.asarray(value, dtype=np.float64)
+            full = np.zeros((on.size, *value.shape[1:]))
+            full[on] = value
+            put(name, full)
+
+        put_used("charge", energy[:, -1] - energy[:, 0])
+        put_used("stop_temperature", border[:, 1:])
+        put_used("dwell", dwell)
+        put_used("temp_dwell", middle * dwell)
+        put_used("cell_loss", [s.loss_kwh for s in stops])
+        put_used("cell_limit", limit)
+        put_used("occupied", np.maximum(0.0, dwell.sum(axis=1) - free))
         for name, field in (
             ("cell_heater", "heater_kw"),
             ("cell_cooling", "cooling_kw"),
             ("cell_pump", "heat_pump_kw"),
             ("cell_pump_heat", "pump_heat_kw"),
         ):
-            put(name, np.array([getattr(s, field) for s in stops]) * dwell)
+            put_used(name, np.array([getattr(s, field) for s in stops]) * dwell)
+    if instance.stops:
+        _put_passage(instance, trajectory, on, put)
     return out / program.scale
+
+
+def _put_passage(
+    instance: Instance,
+    trajectory: Trajectory,
+    on: npt.NDArray[np.bool_],
+    put: Callable[[str, npt.ArrayLike], None],
+) -> None:
+    """Put the states before and after every stop, used or passed."""
+    count = on.size
+    before, after = np.zeros((2, count)), np.zeros((2, count))
+    used = iter(trajectory.stops)
+    for i, stop in enumerate(instance.stops):
+        node = stop.node
+        here = np.array([trajectory.energy_kwh[node], trajectory.temperature_c[node]])
+        if i and instance.stops[i - 1].node == node:
+            here = after[:, i - 1]
+        before[:, i] = after[:, i] = here
+        if on[i]:
+            ran = next(used)
+            after[:, i] = ran.energy_kwh[-1] - stop.detour_out_kwh, ran.temperature_c[-1]
+    put("leave", after[0])
+    put("used", on.astype(np.float64))
+    put("share", np.where(on, before[0], 0.0))
+    put("share_temperature", np.where(on, before[1], 0.0))
+    put("after_temperature", after[1])

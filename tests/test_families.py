@@ -1,0 +1,272 @@
+"""Families of subsets: one relaxation holds the plans of all its members, parts cover a whole."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from itertools import combinations
+from math import comb, inf
+
+import numpy as np
+import pytest
+from trips import small_trip
+
+from enumerate.account import Account
+from enumerate.ledger import Ledger, Outcome, Row
+from enumerate.search import plan
+from enumerate.tree import Leaf, examine, make_roots
+from relax.bound import relax_subset
+from relax.branch import Branch, Target, branch, decide, limit_count
+from relax.instance import Instance, make_instance
+from relax.plan import Trajectory
+from relax.reach import make_box, propagate
+from relax.refinement import refine
+from relax.relaxation import build_relaxation
+from relax.relaxed_point import lift
+from relax.starts import best_start
+from relax.tighten import tighten
+from relax.trip import Trip
+
+KINDS = ("winter", "same node", "ends", "summer", "stop time")
+
+
+@cache
+def trip(kind: str) -> Trip:
+    """A short trip with three chargers, hard in the named way."""
+    base = small_trip(
+        ambient_c=33.0 if kind == "summer" else -12.0,
+        start_soc=0.45,
+        grid__cells=3,
+        grid__step_km=10.0,
+    )
+    first, last = base.chargers
+    km = {
+        "same node": (first.position_km, first.position_km, last.position_km),
+        "ends": (0.0, 60.0, base.route.length_km),
+    }.get(kind, (first.position_km, 60.0, last.position_km))
+    chargers = tuple(
+        replace(first if i != 1 else last, name=f"c{i}", position_km=x, price_per_kwh=0.4 + 0.1 * i)
+        for i, x in enumerate(km)
+    )
+    out = replace(base, chargers=chargers)
+    return replace(out, stop_time_h=0.9) if kind == "stop time" else out
+
+
+@cache
+def plans(kind: str) -> dict[tuple[int, ...], Trajectory]:
+    """One feasible trajectory of every subset that has one."""
+    out = {}
+    for size in range(4):
+        for subset in combinations(range(3), size):
+            instance = make_instance(trip(kind), subset)
+            relaxed = relax_subset(instance)
+            if relaxed.infeasible:
+                continue
+            bound = -1e9 if relaxed.lower_bound is None else relaxed.lower_bound
+            found = refine(instance, best_start(instance, relaxed.point, bound))
+            if found.feasible and float(found.trajectory.violation.max()) <= 1e-9:
+                out[subset] = found.trajectory
+    return out
+
+
+def family(kind: str, used: tuple[int, ...], maybe: tuple[int, ...]) -> Instance:
+    return make_instance(trip(kind), used, undecided=maybe)
+
+
+FAMILIES = [((), (0, 1, 2)), ((1,), (0, 2)), ((0,), (2,)), ((0, 2), (1,)), ((), (1,))]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_plan_lies_in_the_relaxation_of_its_families_at_its_cost(kind: str) -> None:
+    seen = 0
+    for used, maybe in FAMILIES:
+        instance = family(kind, used, maybe)
+        box = make_box(instance)
+        members = [s for s in plans(kind) if set(used) <= set(s) <= {*used, *maybe}]
+        if not members:
+            continue
+        assert not box.empty
+        for subset in members:
+            trajectory = plans(kind)[subset]
+            within = limit_count(box, len(subset), len(subset))
+            for narrow in (box, within, propagate(instance, box)):
+                program = build_relaxation(instance, narrow)
+                x = lift(instance, program, trajectory, subset)
+                cost = float(program.q @ x) + program.constant
+                assert cost == pytest.approx(trajectory.cost, rel=1e-9)
+                assert program.slack(x).min() > -1e-6, (used, maybe, subset)
+                assert np.all(x >= program.l - 1e-6) and np.all(x <= program.u + 1e-6)
+                seen += 1
+    assert seen > 6
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_family_is_bounded_below_its_members_and_a_part_above_the_whole(kind: str) -> None:
+    for used, maybe in FAMILIES:
+        whole = relax_subset(family(kind, used, maybe))
+        members = [s for s in plans(kind) if set(used) <= set(s) <= {*used, *maybe}]
+        best = min((plans(kind)[s].cost for s in members), default=inf)
+        if whole.infeasible:
+            assert not members
+            continue
+        assert whole.lower_bound is not None and whole.lower_bound <= best + 1e-6
+        for subset in members:
+            one = relax_subset(make_instance(trip(kind), subset))
+            assert one.lower_bound is not None
+            assert one.lower_bound >= whole.lower_bound - 1e-3 * abs(whole.lower_bound)
+
+
+def test_an_optional_stop_that_cannot_be_used_is_named() -> None:
+    """A charger that gives nothing in the time allowed: the family drives past it."""
+    base = trip("winter")
+    slow = replace(base.chargers[1], power_kw=2.0, max_dwell_h=1e-3)
+    instance = make_instance(
+        replace(base, chargers=(base.chargers[0], slow, base.chargers[2])), (0,), undecided=(1,)
+    )
+    box = make_box(instance)
+    for _ in range(3):
+        box = propagate(instance, box)
+    assert not box.empty
+    assert box.unusable.tolist() == [False, True]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(
+    "how",
+    [
+        Branch("use", stop=1),
+        Branch("count", at=1),
+        Branch("halve", Target("energy", 6, "energy"), 30.0),
+        Branch("halve", Target("temperature", 6, "temperature"), -5.0),
+    ],
+    ids=["use", "count", "energy", "temperature"],
+)
+def test_the_parts_of_a_box_hold_every_plan_of_the_whole(kind: str, how: Branch) -> None:
+    whole = make_box(family(kind, (), (0, 1, 2)))
+    parts = branch(whole, how)
+    for subset, trajectory in plans(kind).items():
+        held = 0
+        for first, part in zip((True, False), parts, strict=True):
+            used: tuple[int, ...] = ()
+            maybe: tuple[int, ...] = (0, 1, 2)
+            if how.kind == "use":
+                stop = family(kind, (), (0, 1, 2)).stops[how.stop].charger
+                used, maybe = ((stop,) if first else ()), tuple(c for c in maybe if c != stop)
+            if not set(used) <= set(subset) <= {*used, *maybe}:
+                continue
+            instance = family(kind, used, maybe)
+            if part.empty or not part.count[0] <= len(subset) <= part.count[1]:
+                continue
+            x_in = [
+                bool(np.all(i.lo - 1e-6 <= v) and np.all(v <= i.hi + 1e-6))
+                for i, v in (
+                    (part.energy, trajectory.energy_kwh),
+                    (part.temperature, trajectory.temperature_c),
+                )
+            ]
+            if all(x_in):
+                program = build_relaxation(instance, part)
+                held += bool(
+                    program.slack(lift(instance, program, trajectory, subset)).min() > -1e-6
+                )
+        assert held >= 1, (subset, how.kind)
+
+
+def test_leaving_a_stop_out_gives_the_box_of_the_smaller_family() -> None:
+    whole = make_box(family("winter", (1,), (0, 2)))
+    left = decide(whole, 0, False)
+    small = make_box(family("winter", (1,), (2,)))
+    assert left.optional.tolist() == small.optional.tolist()
+    assert left.step_stop.tolist() == small.step_stop.tolist()
+    for name in ("charge", "leave", "stop_temperature", "after"):
+        wide, tight = getattr(left, name), getattr(small, name)
+        assert np.all(wide.lo <= tight.lo + 1e-6) and np.all(wide.hi >= tight.hi - 1e-6)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_closed_family_holds_no_plan_below_its_cutoff(kind: str) -> None:
+    best = min(t.cost for t in plans(kind).values())
+    instance = family(kind, (), (0, 1, 2))
+    for share in (0.5, 0.9, 1.1):
+        done = tighten(instance, make_box(instance), share * best)
+        assert done.bound <= best + 1e-6
+        assert not (done.closed and share > 1.0)
+
+
+def test_a_tree_cut_to_the_end_covers_every_subset_once_and_bounds_the_best_plan() -> None:
+    made = trip("winter")
+    best = min(t.cost for t in plans("winter").values())
+    account = Account(3, keep_proofs=True)
+    account.plant(make_roots(3))
+    cutoff = 0.98 * best
+
+    def make(used: tuple[int, ...], maybe: tuple[int, ...]) -> Instance:
+        return make_instance(made, used, undecided=maybe)
+
+    for _ in range(300):
+        leaves = account.take(1, cutoff)
+        if not leaves:
+            break
+        account.enter(examine(make, leaves[0], cutoff), cutoff)
+    assert account.open_bound == pytest.approx(cutoff)
+    ledger = Ledger(3, tuple(account.rows({}, cutoff)))  # raises if a subset is missing or twice
+    assert sum(row.size for row in ledger.rows) == 8
+    for subset in plans("winter"):
+        row = next(r for r in ledger.rows if r.holds(subset))
+        assert row.outcome is Outcome.BOUNDED
+    assert len({node.number for node in account.proofs}) == len(account.proofs)
+
+
+def test_a_row_counts_the_members_of_its_family() -> None:
+    row = Row((3,), Outcome.BOUNDED, undecided=(0, 1, 2, 5), count=(2, 3))
+    members = [
+        tuple(sorted((3, *more))) for size in range(5) for more in combinations((0, 1, 2, 5), size)
+    ]
+    assert row.size == comb(4, 1) + comb(4, 2) == sum(row.holds(s) for s in members)
+    smaller = replace(row, without=((1, 3),))
+    assert smaller.size == row.size - 1 and not smaller.holds((1, 3))
+
+
+@pytest.mark.parametrize(
+    "rows",
+    [
+        (Row((), Outcome.BOUNDED, undecided=(0, 1)), Row((0,), Outcome.BOUNDED)),
+        (
+            Row((), Outcome.BOUNDED, undecided=(1,)),
+            Row((0,), Outcome.BOUNDED, undecided=(1,), count=(0, 1)),
+        ),
+        (
+            Row((), Outcome.BOUNDED, undecided=(0, 1), count=(0, 1)),
+            Row((0,), Outcome.BOUNDED, undecided=(1,), count=(1, 2), without=((0, 1),)),
+        ),
+    ],
+    ids=["twice", "missing", "crossing"],
+)
+def test_families_that_overlap_or_leave_a_gap_are_refused(rows: tuple[Row, ...]) -> None:
+    with pytest.raises(ValueError, match="accounts for"):
+        Ledger(2, rows)
+
+
+def test_many_chargers_give_the_plan_that_brute_force_gives() -> None:
+    base = trip("winter")
+    more = tuple(
+        replace(base.chargers[i % 3], name=f"m{i}", position_km=20.0 + 15.0 * i,
+                price_per_kwh=0.35 + 0.05 * ((7 * i) % 5))
+        for i in range(6)
+    )  # fmt: skip
+    wide = replace(base, chargers=more)
+    brute = plan(wide, prune=False)
+    tree = plan(wide, gap=0.02)
+    assert brute.plan is not None and tree.plan is not None
+    assert tree.cost <= brute.cost * 1.005
+    assert tree.lower_bound <= min(tree.transcribed_cost, brute.transcribed_cost) + 1e-6
+    assert tree.gap <= 0.0201 and tree.ledger.counts()["total"] == 64
+    assert len(tree.ledger.rows) < 64
+    assert plan(wide, gap=0.02, workers=2).ledger.counts() == tree.ledger.counts()
+
+
+def test_leaves_carry_their_bound_to_their_parts() -> None:
+    root = make_roots(3)[0]
+    done = examine(lambda a, b: make_instance(trip("winter"), a, undecided=b), root, 1e6)
+    assert all(part.bound == done.bound for part in done.parts)
+    assert isinstance(done.leaf, Leaf) and done.leaf.number == -1
