@@ -1,0 +1,199 @@
+"""A sweep is its separate plans, in the order of the grid, whatever the executor; what is saved is
+not computed again, what was torn or lost is."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from trips import write_trip
+
+from enumerate import Sweep, plan, sweep
+from enumerate.cli_studies import sweep as command
+from enumerate.sweep import front_task, plan_task
+from relax import InputError, load_trip
+from relax.trip import Trip
+
+OVER: dict[str, Any] = {"route.ambient_c": range(-5, 6, 5), "vehicle.heat_pump_kw": [0.0, 1.0]}
+COARSE = {"grid.step_km": 20.0, "grid.cells": 4}
+
+
+@pytest.fixture(scope="module")
+def trip(tmp_path_factory: pytest.TempPathFactory) -> str:
+    return str(write_trip(tmp_path_factory.mktemp("trip")))
+
+
+def quick(trip: Trip) -> dict[str, Any]:
+    """A task that costs nothing."""
+    return {"length": trip.route.length_km, "pump": trip.vehicle.heat_pump_kw}
+
+
+def deadly(trip: Trip, folder: str) -> dict[str, Any]:
+    """A task that kills its process the first time that it meets 0 C."""
+    flag = Path(folder) / "died"
+    if trip.start_temperature_c == 0.0 and not flag.exists():
+        flag.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return quick(trip)
+
+
+def content(found: Sweep) -> list[tuple[int, dict[str, Any], Any]]:
+    return [(r.index, r.variant, r.result) for r in found.rows]
+
+
+def test_a_sweep_is_its_separate_plans(trip: str) -> None:
+    found = sweep(trip, OVER, overrides=COARSE, gap=0.05)
+    assert len(found.rows) == 6 and not found.missing and found.interrupted == ""
+    assert found.column("route.ambient_c") == [-5, -5, 0, 0, 5, 5]
+    assert found.column("vehicle.heat_pump_kw") == [0.0, 1.0] * 3
+    for row in found.rows[::2]:
+        alone = plan(load_trip(trip, {**COARSE, **row.variant}), gap=0.05)
+        assert row.result is not None and alone.plan is not None
+        assert (row.result["cost"], row.result["lower_bound"]) == (alone.cost, alone.lower_bound)
+        assert row.result["plan"]["grid_kwh"] == alone.plan.grid_kwh
+        assert "drive" not in row.result["plan"]
+    assert found.column("plan.grid_kwh")[0] == found.rows[0].result["plan"]["grid_kwh"]  # type: ignore[index]
+    assert found.column("no.such.thing") == [None] * 6
+
+
+@pytest.mark.parametrize("pool", [ThreadPoolExecutor, ProcessPoolExecutor])
+def test_any_executor_gives_the_same_rows_in_the_same_order(trip: str, pool: Any) -> None:
+    alone = sweep(trip, OVER, task=quick)
+    with pool(2) as executor:
+        assert content(sweep(trip, OVER, task=quick, executor=executor)) == content(alone)
+
+
+def test_what_is_saved_is_not_computed_again(trip: str, tmp_path: Path) -> None:
+    file = tmp_path / "rows.jsonl"
+    calls: list[str] = []
+
+    def counted(trip: Trip) -> dict[str, Any]:
+        calls.append(trip.name)
+        if len(calls) == 4:
+            raise KeyboardInterrupt
+        return quick(trip)
+
+    cut = sweep(trip, OVER, task=counted, file=file)
+    assert len(cut.rows) == 3 and len(cut.missing) == 3 and cut.interrupted == "interrupted"
+    assert len(file.read_text().splitlines()) == 3
+    with file.open("a") as stream:  # a line torn in the middle, as by a power cut
+        stream.write('{"sweep": {"trip": "half a li')
+    calls += ["one more", "so that none is the fourth"]
+    whole = sweep(trip, OVER, task=counted, file=file)
+    assert len(calls) == 4 + 2 + 3
+    assert content(whole) == content(sweep(trip, OVER, task=quick)) and not whole.missing
+    again = sweep(trip, OVER, task=counted, file=file)
+    assert len(calls) == 4 + 2 + 3 and content(again) == content(whole)
+    wider = sweep(trip, OVER | {"route.ambient_c": [5, -5, 7]}, task=counted, file=file)
+    assert len(calls) == 4 + 2 + 3 + 2
+    assert wider.column("route.ambient_c") == [5, 5, -5, -5, 7, 7]
+
+
+def test_rows_of_other_trips_tasks_and_settings_are_left_alone(trip: str, tmp_path: Path) -> None:
+    file = tmp_path / "rows.jsonl"
+    over = {"start.soc": [0.5, 0.6]}
+    seen: list[int] = []
+    for settings in (
+        {"task": quick},
+        {"task": partial(plan_task, gap=None)},
+        {"task": partial(plan_task, gap=0.5)},
+        {"task": quick, "overrides": {"end.soc_min": 0.1}},
+    ):
+        fixed = {**COARSE, **settings.pop("overrides", {})}  # type: ignore[dict-item]
+        found = sweep(trip, over, file=file, overrides=fixed, **settings)  # type: ignore[arg-type]
+        assert not found.missing
+        seen.append(len(file.read_text().splitlines()))
+    assert seen == [2, 4, 6, 8]
+
+
+def test_a_killed_worker_costs_nothing(trip: str, tmp_path: Path) -> None:
+    file = tmp_path / "rows.jsonl"
+    task = partial(deadly, folder=str(tmp_path))
+    found = sweep(trip, OVER, task=task, workers=2, file=file)
+    assert (tmp_path / "died").exists()
+    assert content(found) == content(sweep(trip, OVER, task=quick)) and found.interrupted == ""
+    assert len(file.read_text().splitlines()) == 6
+
+
+def test_a_lost_executor_leaves_what_is_missing(trip: str, tmp_path: Path) -> None:
+    file = tmp_path / "rows.jsonl"
+    task = partial(deadly, folder=str(tmp_path))
+    with ProcessPoolExecutor(1) as pool:
+        found = sweep(trip, OVER, task=task, executor=pool, file=file)
+    assert found.missing and "lost" in found.interrupted
+    assert {r.variant["route.ambient_c"] for r in found.rows} <= {-5}
+    whole = sweep(trip, OVER, task=task, file=file)
+    assert content(whole) == content(sweep(trip, OVER, task=quick))
+
+
+def test_a_variant_that_is_no_trip_is_a_row_with_its_error(trip: str) -> None:
+    found = sweep(trip, {"start.soc": [0.5, 1.7]}, task=quick)
+    assert [r.error == "" for r in found.rows] == [True, False]
+    assert "start.soc" in found.rows[1].error and found.rows[1].result is None
+    with pytest.raises(InputError, match="no-such-trip"):
+        sweep("no-such-trip", {"start.soc": [0.5]})
+    with pytest.raises(ValueError, match=r"start\.soc has no values"):
+        sweep(trip, {"start.soc": []})
+
+
+def test_an_error_of_the_task_is_not_hidden(trip: str, tmp_path: Path) -> None:
+    def broken(trip: Trip) -> dict[str, Any]:
+        raise ZeroDivisionError(trip.name)
+
+    with pytest.raises(ZeroDivisionError):
+        sweep(trip, {"start.soc": [0.5]}, task=broken, file=tmp_path / "rows.jsonl")
+
+
+def test_a_plan_that_ctrl_c_cut_short_is_not_kept(trip: str, tmp_path: Path) -> None:
+    """A worker gets the signal too, and its plan returns what it has."""
+    file = tmp_path / "rows.jsonl"
+    found = sweep(
+        trip, {"start.soc": [0.5]}, task=lambda t: {"interrupted": "interrupted"}, file=file
+    )
+    assert found.rows == () and len(found.missing) == 1 and not file.exists()
+
+
+def test_numbers_of_numpy_are_numbers(trip: str) -> None:
+    found = sweep(trip, {"start.soc": np.linspace(0.5, 0.6, 2)}, task=quick)
+    assert json.dumps([r.variant for r in found.rows]) == '[{"start.soc": 0.5}, {"start.soc": 0.6}]'
+
+
+def test_progress_counts_every_row(trip: str) -> None:
+    seen: list[tuple[int, int]] = []
+    sweep(trip, OVER, task=quick, progress=lambda done, total, row: seen.append((done, total)))
+    assert seen == [(k, 6) for k in range(1, 7)]
+
+
+def test_fronts_can_be_swept(trip: str) -> None:
+    task = partial(front_task, points=2, gap=None)
+    found = sweep(
+        trip, {"route.ambient_c": [5.0]}, task=task, overrides={**COARSE, "start.soc": 0.4}
+    )
+    (row,) = found.rows
+    assert row.result is not None
+    assert row.result["unit"] == "kWh" and len(row.result["points"]) >= 2
+
+
+def test_the_command_saves_rows_and_goes_on(trip: str, tmp_path: Path) -> None:
+    file = tmp_path / "rows.jsonl"
+    options = ["--set", "grid.step_km=20", "--set", "grid.cells=4", "--file", str(file), "-q"]
+    wide = ["--over", "route.ambient_c=-5:5:5", "--over", "vehicle.heat_pump_kw=0,1.0"]
+    first = CliRunner().invoke(
+        command, [trip, "--over", "route.ambient_c=5", wide[2], wide[3], *options]
+    )
+    assert first.exit_code == 0 and f"2 rows in {file}" in first.output, first.output
+    again = CliRunner().invoke(command, [trip, *wide, *options])
+    assert again.exit_code == 0 and f"6 rows in {file}" in again.output, again.output
+    rows = [json.loads(line) for line in file.read_text().splitlines()]
+    assert len(rows) == 6 and all(row["result"]["status"] for row in rows)
+    assert [r["variant"]["route.ambient_c"] for r in rows] == [5, 5, -5, -5, 0, 0]
+    for bad in ("route.ambient_c", "route.ambient_c=", "route.ambient_c=1:2:0", "=1", "a=1:0:1"):
+        assert CliRunner().invoke(command, [trip, "--over", bad, *options]).exit_code == 2
