@@ -55,6 +55,8 @@ SAME = 1e-4
 """Relative rise of a plan's cost by repairs that reopens what was closed against it."""
 OPENING = 12
 """Leaves looked at before the first plan, when there are many chargers."""
+MAX_OPENING = 400
+"""Leaves looked at for a first plan; after that the tree is searched without one."""
 
 
 @dataclass(frozen=True)
@@ -233,9 +235,13 @@ class _Search:
     def relax(self) -> None:
         """Bound every subset, or families of them; plan a promising one as soon as it is known."""
         if not self.single:
-            for _ in range(OPENING // BATCH):
-                self._examine_batch(inf)
-            self._plan_new(self.account.suggestions())
+            for k in range(MAX_OPENING // BATCH):
+                if self.interrupted or not self._examine_batch(inf):
+                    break
+                if k + 1 >= OPENING // BATCH:
+                    self._plan_new(self.account.suggestions())
+                    if self.best is not None:
+                        break
             return
         nodes = self.open()
         self.run(_relax_node, [n for n in nodes if len(n.row.subset) <= 1], "relax")

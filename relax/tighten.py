@@ -22,13 +22,13 @@ from relax.intervals import Interval
 from relax.proof import BoxProof, Closed, Step
 from relax.reach import make_box
 from relax.relaxed_point import RelaxedPoint, unpack_point
-from relax.solve import SolveSettings, SolveStatus, solve_cone
+from relax.solve import ConeSolver, SolveSettings, SolveStatus, solve_cone
 
 __all__ = ["Proof", "Tightened", "prove", "tighten"]
 
 Array = npt.NDArray[np.float64]
 
-SETTINGS = SolveSettings(tolerance=1e-3)
+SETTINGS = SolveSettings(tolerance=1e-4)
 """Bounds are safe whatever the tolerance; a looser one changes them by less than 0.01 %."""
 WORTH = {"charge": (0.5, 0.5), "temperature": (np.inf, 3.0), "stop_temperature": (np.inf, 3.0)}
 """A lower or upper bound problem is solved if it can gain at least this [kWh, K]: a battery
@@ -40,7 +40,7 @@ LEAST_SPLIT = {"charge": 0.5, "stay": 0.02, "temperature": 1.0, "stop_temperatur
 """Intervals narrower than this are not cut [kWh, h, K]."""
 SPLIT_UNIT = {"charge": 3.0, "stay": 0.15, "temperature": 8.0, "stop_temperature": 8.0}
 """Widths that count alike when the quantity to cut is chosen [kWh, h, K]."""
-PROGRESS = 0.25
+PROGRESS = 0.5
 """Share of the distance to the cutoff that a round must gain for another one."""
 DECIDED = 0.02
 """An optional stop used by less than this, or by all but this, counts as decided."""
@@ -96,6 +96,7 @@ class _Work:
         self.proof, self.deadline = proof, deadline
         self.programs, self.solve_s = 0, 0.0
         self.x: Array = np.zeros(0)
+        self._solver: ConeSolver | None = None
 
     @property
     def late(self) -> bool:
@@ -106,7 +107,7 @@ class _Work:
         program = self.proof.build()
         found = solve_cone(program, SETTINGS)
         self.programs, self.solve_s = self.programs + 1, self.solve_s + found.solve_s
-        self.x = found.x
+        self.x, self._solver = found.x, None
         ray = found.status is SolveStatus.INFEASIBLE
         self.proof.apply(Step("relax", found.z, ray), program)
 
@@ -122,7 +123,8 @@ class _Work:
             if sign * (here - end) < worth or self.late:
                 continue
             program = proof.objective(target, sign)
-            found = solve_cone(program, SETTINGS)
+            self._solver = self._solver or ConeSolver(program, SETTINGS)
+            found = self._solver.solve(program.q)
             self.programs, self.solve_s = self.programs + 1, self.solve_s + found.solve_s
             ray = found.status is SolveStatus.INFEASIBLE
             proof.apply(Step("shrink", found.z, ray, target, sign), program)
