@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import heapq
 import time
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import count, pairwise
 
@@ -27,6 +28,7 @@ from relax.solve import ConeSolver, SolveSettings, SolveStatus, solve_cone
 __all__ = ["Proof", "Tightened", "prove", "tighten"]
 
 Array = npt.NDArray[np.float64]
+Worths = Mapping[str, tuple[float, float]]
 
 SETTINGS = SolveSettings(tolerance=1e-4)
 """Bounds are safe whatever the tolerance; a looser one changes them by less than 0.01 %."""
@@ -40,6 +42,13 @@ LEAST_SPLIT = {"charge": 0.5, "stay": 0.02, "temperature": 1.0, "stop_temperatur
 """Intervals narrower than this are not cut [kWh, h, K]."""
 SPLIT_UNIT = {"charge": 3.0, "stay": 0.15, "temperature": 8.0, "stop_temperature": 8.0}
 """Widths that count alike when the quantity to cut is chosen [kWh, h, K]."""
+FINE_WORTH = {"charge": (0.05, 0.05), "temperature": (1.0, 1.0), "stop_temperature": (1.0, 1.0),
+              "dwell": (np.inf, 0.003)}  # fmt: skip
+"""The same where little is missing: there every term counts [kWh, K, h]."""
+FINE_SHARE = 0.006
+"""Share of the cutoff that is missing at most where quantities are bounded finely."""
+FINE_STEPS = 10
+"""Every so many steps the temperature is bounded finely."""
 PROGRESS = 0.5
 """Share of the distance to the cutoff that a round must gain for another one."""
 DECIDED = 0.02
@@ -111,13 +120,13 @@ class _Work:
         ray = found.status is SolveStatus.INFEASIBLE
         self.proof.apply(Step("relax", found.z, ray), program)
 
-    def shrink(self, target: Target) -> None:
+    def shrink(self, target: Target, worths: Worths = WORTH) -> None:
         """Bound one quantity from both sides, where the relaxed optimum leaves room."""
         proof = self.proof
         columns, index = proof.columns(target), target.index
         assert proof.program is not None
         here = float((self.x * proof.program.scale)[columns].sum())
-        for sign, worth in zip((1, -1), WORTH[target.name], strict=True):
+        for sign, worth in zip((1, -1), worths[target.name], strict=True):
             interval: Interval = getattr(proof.box, target.name)
             end = float((interval.lo if sign > 0 else interval.hi)[index])
             if sign * (here - end) < worth or self.late:
@@ -134,10 +143,10 @@ class _Work:
         for _ in range(2):
             self.proof.apply(Step("propagate"))
 
-    def round(self, targets: list[Target]) -> None:
+    def round(self, targets: list[Target], worths: Worths = WORTH) -> None:
         """Bound quantities, propagate, and bound the cost again."""
         for target in targets:
-            self.shrink(target)
+            self.shrink(target, worths)
         self.spread()
         self.relax()
 
@@ -161,6 +170,21 @@ def _at_stops(instance: Instance) -> list[Target]:
             out.append(Target("temperature", stop.node, "temperature"))
             out.append(Target("stop_temperature", (i, instance.cells), "border"))
     return out
+
+
+def _fine(instance: Instance) -> Iterator[list[Target]]:
+    """Yield what is bounded where little is missing: stops, their cells, the way between them."""
+    cells = instance.cells
+    stops = range(len(instance.stops))
+    thirds = [(i, j) for i in stops for j in {cells // 4, cells // 2, 3 * cells // 4}]
+    yield [
+        *(Target("charge", i, "charge") for i in stops),
+        *_at_stops(instance),
+        *(Target("stop_temperature", at, "border") for at in thirds),
+    ]
+    yield [Target("dwell", (i, j), "dwell") for i in stops for j in range(cells)]
+    nodes = range(FINE_STEPS, instance.drive.n_steps, FINE_STEPS)
+    yield [Target("temperature", k, "temperature") for k in (*nodes, instance.drive.n_steps)]
 
 
 def _widest(instance: Instance, box: Box) -> Branch | None:
@@ -282,6 +306,12 @@ def _settle(work: _Work) -> Branch | None:
             return Branch("halve", Target("charge", i, "charge"), float(proof.box.charge.mid[i]))
         work.round(_legs(instance))
         work.round(_at_stops(instance))
+        if proof.bound - before < PROGRESS * (proof.cutoff - before):
+            break
+    while not work.late and proof.cutoff - proof.bound < FINE_SHARE * abs(proof.cutoff):
+        before = proof.bound
+        for targets in _fine(instance):
+            work.round(targets, FINE_WORTH)
         if proof.bound - before < PROGRESS * (proof.cutoff - before):
             break
     return _widest(instance, proof.box)
