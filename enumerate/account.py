@@ -144,6 +144,10 @@ class Account:
         """Return the stops that relaxed optima of families used, in the order they were met."""
         return list(dict.fromkeys(self._used))
 
+    def decided(self) -> list[Subset]:
+        """Return the subsets of open leaves in which nothing is undecided."""
+        return sorted({leaf.subset for *_, leaf in self._open if not leaf.undecided})
+
     def rows(self, alone: Mapping[Subset, Row], cutoff: float) -> list[Row]:
         """Return one row per family and per subset handled alone; sizes add up to 2^N.
 

@@ -27,16 +27,20 @@ from enumerate.ledger import Ledger, Outcome, Row
 from enumerate.pool import run_in_order
 from enumerate.result import Result, Status
 from enumerate.subset import Subset, all_subsets, neighbours
-from enumerate.tree import Examined, Leaf, examine, make_roots
-from relax.bound import relax_subset
+from enumerate.tasks import (
+    Node,
+    Setting,
+    examine_leaf,
+    refine_node,
+    refine_point,
+    refine_splits,
+    relax_node,
+)
+from enumerate.tree import Examined, Leaf, make_roots
 from relax.execute import Execution, execute
-from relax.instance import Drive, Instance, make_drive, make_instance
-from relax.plan import Controls
-from relax.proof import Step
-from relax.refinement import Refined, RefineSettings, best_of, refine
-from relax.relaxed_point import RelaxedPoint
+from relax.instance import make_drive
+from relax.refinement import Refined, RefineSettings
 from relax.report import make_report
-from relax.starts import best_start, split_starts
 from relax.trip import Grid, Trip
 
 __all__ = ["FEW_CHARGERS", "MAX_CHARGERS", "Progress", "plan"]
@@ -51,6 +55,8 @@ MAX_PLANNED = 10
 BATCH = 4
 """Subsets or leaves handled before the best plan is updated; fixed, so that any number of
 workers closes the same ones."""
+LEAF_STARTS = 2
+"""Starts that a proof may add for one subset."""
 SAME = 1e-4
 """Relative rise of a plan's cost by repairs that reopens what was closed against it."""
 OPENING = 12
@@ -82,82 +88,12 @@ class Progress:
     lower_bound: float
 
 
-@dataclass(frozen=True)
-class _Setting:
-    """What every task needs; picklable."""
-
-    trip: Trip
-    drive: Drive
-    grid: Grid
-    refine: RefineSettings
-
-    def instance(self, subset: Subset, undecided: Subset = ()) -> Instance:
-        return make_instance(self.trip, subset, self.grid, self.drive, undecided)
-
-
-@dataclass(frozen=True)
-class _Node:
-    """A subset on its way through the search."""
-
-    row: Row
-    point: RelaxedPoint | None = None
-    refined: Refined | None = None
-    steps: tuple[Step, ...] = ()
-
-
-def _relax(setting: _Setting, subset: Subset) -> _Node:
-    begin = time.perf_counter()
-    relaxed = relax_subset(setting.instance(subset))
-    seconds = time.perf_counter() - begin
-    programs = int(relaxed.solve_s > 0.0)
-    if relaxed.infeasible:
-        reason = "the relaxation has no point" if programs else "out of reach by interval bounds"
-        row = Row(subset, Outcome.INFEASIBLE, inf, inf, reason, programs, seconds)
-        return _Node(row, steps=relaxed.steps)
-    row = Row(
-        subset,
-        Outcome.UNPROVED,
-        lower_bound=-inf if relaxed.lower_bound is None else relaxed.lower_bound,
-        programs=programs,
-        seconds=seconds,
-    )
-    return _Node(row, relaxed.point, steps=relaxed.steps)
-
-
-def _refine(setting: _Setting, node: _Node, starts: list[Controls] | None = None) -> _Node:
-    begin = time.perf_counter()
-    instance = setting.instance(node.row.subset)
-    if starts is None:
-        starts = [best_start(instance, node.point, node.row.lower_bound)]
-    found = [refine(instance, start, setting.refine) for start in starts]
-    best = best_of([*([node.refined] if node.refined else []), *found], instance)
-    row = replace(
-        node.row,
-        cost=best.trajectory.cost if best.feasible else inf,
-        outcome=Outcome.PLANNED if best.feasible else Outcome.UNPROVED,
-        reason="" if best.feasible else "no feasible plan found, none disproved",
-        programs=node.row.programs + sum(r.programs for r in found),
-        seconds=node.row.seconds + time.perf_counter() - begin,
-    )
-    return replace(node, row=row, refined=best)
-
-
-def _examine(setting: _Setting, leaf: Leaf, cutoff: float, deadline: float) -> Examined:
-    return examine(setting.instance, leaf, cutoff, deadline)
-
-
-def _refine_splits(setting: _Setting, node: _Node) -> _Node:
-    assert node.refined is not None
-    instance = setting.instance(node.row.subset)
-    return _refine(setting, node, split_starts(instance, node.refined.controls))
-
-
 class _Search:
     """State of one search: the subsets met so far, the account, and when to stop."""
 
     def __init__(
         self,
-        setting: _Setting,
+        setting: Setting,
         executor: Executor | None,
         deadline: float,
         report: Callable[[Progress], None] | None,
@@ -169,18 +105,19 @@ class _Search:
         self.n_chargers = len(setting.trip.chargers)
         self.account = Account(self.n_chargers, keep_proofs)
         self.single = single
-        self.nodes: dict[Subset, _Node] = {}
+        self.nodes: dict[Subset, Node] = {}
         if single:
             every = all_subsets(self.n_chargers)
-            self.nodes = {s: _Node(Row(s, Outcome.UNPROVED)) for s in every}
+            self.nodes = {s: Node(Row(s, Outcome.UNPROVED)) for s in every}
         else:
             self.account.plant(make_roots(self.n_chargers))
         self.execution: Execution | None = None
-        self.driven: Subset | None = None
+        self.driven: Node | None = None
+        self.tried: Refined | None = None
         self.interrupted = ""
 
     @property
-    def best(self) -> _Node | None:
+    def best(self) -> Node | None:
         """The node of the cheapest plan; ties go to the fewer stops."""
         planned = [n for n in self.nodes.values() if n.row.outcome is Outcome.PLANNED]
         return min(planned, key=lambda n: n.row.cost, default=None)
@@ -190,14 +127,14 @@ class _Search:
         """Cost of the cheapest plan."""
         return inf if self.best is None else self.best.row.cost
 
-    def run(self, task: Callable[[_Setting, _Node], _Node], nodes: list[_Node], phase: str) -> None:
+    def run(self, task: Callable[[Setting, Node], Node], nodes: list[Node], phase: str) -> None:
         """Apply a task to nodes in batches; between batches the clock is looked at."""
         done = 0
         while nodes and not self.interrupted:
             batch, nodes = nodes[:BATCH], nodes[BATCH:]
             bound = partial(task, self._setting_now())
             for node in run_in_order(self.executor, bound, batch):
-                if task is _relax_node:
+                if task is relax_node:
                     self.account.root(node.row, node.steps)
                 self.nodes[node.row.subset] = node
                 done += 1
@@ -210,11 +147,11 @@ class _Search:
         if time.perf_counter() > self.deadline:
             self.interrupted = "time limit reached"
 
-    def _setting_now(self) -> _Setting:
+    def _setting_now(self) -> Setting:
         """Return the setting of the next batch: what cannot beat the best plan ends earlier."""
         return replace(self.setting, refine=replace(self.setting.refine, hopeless=self.cost))
 
-    def _close(self, node: _Node) -> bool:
+    def _close(self, node: Node) -> bool:
         """Close a subset whose bound shows that it cannot beat the best plan."""
         best = self.best
         if best is None or not is_closed(node.row.lower_bound, best.row.cost):
@@ -239,15 +176,16 @@ class _Search:
                 if self.interrupted or not self._examine_batch(inf):
                     break
                 if k + 1 >= OPENING // BATCH:
-                    self._plan_new(self.account.suggestions())
+                    self._plan_new([*self.account.suggestions(), *self.account.decided()])
                     if self.best is not None:
-                        break
+                        return
+            self._plan_new(self.account.decided())
             return
         nodes = self.open()
-        self.run(_relax_node, [n for n in nodes if len(n.row.subset) <= 1], "relax")
+        self.run(relax_node, [n for n in nodes if len(n.row.subset) <= 1], "relax")
         known = [n for n in self.open() if n.point is not None]
-        self.run(_refine, known[:1], "first plan")
-        self.run(_relax_node, [n for n in nodes if len(n.row.subset) > 1], "relax")
+        self.run(refine_node, known[:1], "first plan")
+        self.run(relax_node, [n for n in nodes if len(n.row.subset) > 1], "relax")
 
     def refine(self, prune: bool) -> None:
         """Plan the subsets that may be better than the best plan, most promising first."""
@@ -255,7 +193,7 @@ class _Search:
             if prune:
                 for node in self.open():
                     self._close(node)
-            self.run(_refine, self.open(), "refine" if prune else "plan all")
+            self.run(refine_node, self.open(), "refine" if prune else "plan all")
         else:
             self._climb()
         close = [
@@ -266,7 +204,7 @@ class _Search:
             and len(n.row.subset) > 1
             and is_close(n.row.cost, self.cost)
         ]
-        self.run(_refine_splits, close, "further starts")
+        self.run(refine_splits, close, "further starts")
 
     def _climb(self) -> None:
         """Move to better neighbours of the best plan's stops until there is none."""
@@ -279,11 +217,11 @@ class _Search:
     def _plan_new(self, subsets: Iterable[Subset]) -> None:
         """Relax and refine subsets not met before."""
         fresh = [s for s in dict.fromkeys(subsets) if s not in self.nodes]
-        self.run(_relax_node, [_Node(Row(s, Outcome.UNPROVED)) for s in fresh], "relax")
+        self.run(relax_node, [Node(Row(s, Outcome.UNPROVED)) for s in fresh], "relax")
         met = [self.nodes[s] for s in fresh if s in self.nodes]
         nodes = [n for n in met if n.row.outcome is Outcome.UNPROVED and not self._close(n)]
         nodes.sort(key=lambda n: n.row.lower_bound)
-        self.run(_refine, nodes, "refine")
+        self.run(refine_node, nodes, "refine")
 
     def prove(self, gap: float) -> None:
         """Cut and bound whatever could be cheaper than the driven plan by more than the gap."""
@@ -295,25 +233,36 @@ class _Search:
                 for s, n in self.nodes.items()
                 if n.row.outcome is not Outcome.INFEASIBLE
             )
-        while not self.interrupted:
+        while not self.interrupted and self.execution is not None:
             done = self.execution
             assert done.replay is not None  # plans that do not hold are refused
             cutoff = closing_cost(done.replay.cost, gap, done.trajectory.cost)
             examined = self._examine_batch(cutoff)
             if not examined:
                 return
-            alone = [e.leaf.subset for e in examined if not e.leaf.undecided and not e.closed]
-            self._plan_new(alone)
-            best = self.best
-            if best is not None and best.row.subset != self.driven:
+            self._plan_leaves([e for e in examined if not e.leaf.undecided and not e.closed])
+            if self.best is not None and self.best.refined is not self.tried:
                 self.drive()
-                if self.execution is None:
-                    return
+
+    def _plan_leaves(self, left: list[Examined]) -> None:
+        """Plan subsets that a proof met and could not close, and start again from what it knows.
+
+        A tightened relaxation's optimum is often nearer to the best plan than any other start.
+        """
+        self._plan_new(e.leaf.subset for e in left)
+        again = []
+        for done in left:
+            node = self.nodes[done.leaf.subset]
+            if done.point is not None and node.starts < LEAF_STARTS and node.refined is not None:
+                node = replace(node, point=done.point, starts=node.starts + 1)
+                self.nodes[done.leaf.subset] = node
+                again.append(node)
+        self.run(refine_point, again, "further starts")
 
     def _examine_batch(self, cutoff: float) -> list[Examined]:
         """Examine the open leaves of least bound."""
         leaves = self.account.take(BATCH, cutoff)
-        task = partial(_examine, self.setting, cutoff=cutoff, deadline=self.deadline)
+        task = partial(examine_leaf, self.setting, cutoff=cutoff, deadline=self.deadline)
         examined = []
         for done in run_in_order(self.executor, task, leaves):
             self.account.enter(done, cutoff)
@@ -322,37 +271,42 @@ class _Search:
         self._look_at_clock()
         return examined
 
-    def open(self) -> list[_Node]:
+    def open(self) -> list[Node]:
         """Unsettled nodes, least bound first; ties go to fewer stops."""
         nodes = [n for n in self.nodes.values() if n.row.outcome is Outcome.UNPROVED]
         return sorted(nodes, key=lambda n: n.row.lower_bound)
 
     def drive(self) -> None:
-        """Drive plans on the continuous model, cheapest first, until one holds."""
+        """Drive plans on the continuous model, cheapest first, until one holds.
+
+        A plan driven before is kept if the new one turns out no cheaper on the road.
+        """
         while (best := self.best) is not None:
             assert best.refined is not None
-            subset = best.row.subset
+            subset, self.tried = best.row.subset, best.refined
             instance = self.setting.instance(subset)
             done = execute(self.setting.trip, instance, best.refined, self.setting.refine)
-            if not done.reason:
-                self.execution, self.driven = done, subset
-                if done.trajectory.cost <= best.row.cost + SAME * abs(best.row.cost):
-                    return
-                # repaired: others were closed against a cost that does not hold
-                self.nodes[subset] = replace(best, row=replace(best.row, cost=done.trajectory.cost))
+            if done.reason:
+                row = replace(
+                    best.row,
+                    outcome=Outcome.UNPROVED,
+                    cost=inf,
+                    reason=f"plan refused in replay: {done.reason}",
+                )
+                self.nodes[subset] = replace(best, row=row)
                 self._reopen()
-                if self.best is not None and self.best.row.subset == subset:
-                    return
                 continue
-            row = replace(
-                best.row,
-                outcome=Outcome.UNPROVED,
-                cost=inf,
-                reason=f"plan refused in replay: {done.reason}",
-            )
-            self.nodes[subset] = replace(best, row=row)
+            assert done.replay is not None  # plans that do not hold are refused
+            before = self.execution.replay if self.execution is not None else None
+            if before is None or done.replay.cost < before.cost:
+                self.execution, self.driven = done, best
+            if done.trajectory.cost <= best.row.cost + SAME * abs(best.row.cost):
+                return
+            # repaired: others were closed against a cost that does not hold
+            self.nodes[subset] = replace(best, row=replace(best.row, cost=done.trajectory.cost))
             self._reopen()
-        self.execution = self.driven = None
+            if self.best is None or self.best.row.subset == subset:
+                return
 
     def _reopen(self) -> None:
         """Look again at the subsets that were closed against a plan which has been refused."""
@@ -362,7 +316,7 @@ class _Search:
             self.nodes[row.subset] = replace(node, row=row)
         again = [n for n in self.open() if n.refined is None and not self._close(n)]
         again = [n for n in again if n.row.subset in {c.row.subset for c in closed}]
-        self.run(_refine, again, "refine")
+        self.run(refine_node, again, "refine")
 
 
 def plan(
@@ -433,7 +387,7 @@ def plan(
     if gap is not None and not gap > 0.0:
         raise ValueError(f"gap must be above 0, not {gap}")
     grid = grid or trip.grid
-    setting = _Setting(trip, make_drive(trip, grid.step_km), grid, RefineSettings(solver=solver))
+    setting = Setting(trip, make_drive(trip, grid.step_km), grid, RefineSettings(solver=solver))
     timings: dict[str, float] = {}
 
     def lap(name: str) -> None:
@@ -470,16 +424,12 @@ def plan(
     return _result(search, gap, timings, begin)
 
 
-def _relax_node(setting: _Setting, node: _Node) -> _Node:
-    return _relax(setting, node.row.subset)
-
-
 def _result(search: _Search, gap: float | None, timings: dict[str, float], begin: float) -> Result:
     """Sum up a finished or interrupted search."""
-    trip, best, done = search.setting.trip, search.best, search.execution
+    trip, done = search.setting.trip, search.execution
     report, replayed, cost = None, None, inf
-    if best is not None and done is not None and done.replay is not None:
-        report = make_report(trip, search.setting.instance(best.row.subset), done)
+    if done is not None and done.replay is not None and search.driven is not None:
+        report = make_report(trip, search.setting.instance(search.driven.row.subset), done)
         replayed, cost = done.replay, done.replay.cost
     enough = DEFAULT_GAP if gap is None else gap
     closing = inf if done is None else closing_cost(cost, enough, done.trajectory.cost)

@@ -1,0 +1,142 @@
+"""Owns what is done to one subset or leaf: relax, refine, examine. Picklable, for any executor.
+
+Knows nothing of other subsets and of the order of the search.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+from math import inf
+
+from enumerate.ledger import Outcome, Row
+from enumerate.subset import Subset
+from enumerate.tree import Examined, Leaf, examine
+from relax.bound import relax_subset
+from relax.instance import Drive, Instance, make_instance
+from relax.plan import Controls
+from relax.proof import Step
+from relax.refinement import Refined, RefineSettings, best_of, refine
+from relax.relaxed_point import RelaxedPoint
+from relax.starts import best_start, relaxed_start, split_starts
+from relax.trip import Grid, Trip
+
+__all__ = [
+    "Node",
+    "Setting",
+    "examine_leaf",
+    "refine_node",
+    "refine_point",
+    "refine_splits",
+    "relax_node",
+]
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What every task needs; picklable.
+
+    Parameters
+    ----------
+    trip : Trip
+        The trip.
+    drive : Drive
+        Its driving steps, shared by all subsets.
+    grid : Grid
+        Steps and cells.
+    refine : RefineSettings
+        Of the refinements.
+    """
+
+    trip: Trip
+    drive: Drive
+    grid: Grid
+    refine: RefineSettings
+
+    def instance(self, subset: Subset, undecided: Subset = ()) -> Instance:
+        """Return the instance of used and undecided chargers."""
+        return make_instance(self.trip, subset, self.grid, self.drive, undecided)
+
+
+@dataclass(frozen=True)
+class Node:
+    """A subset on its way through the search.
+
+    Parameters
+    ----------
+    row : Row
+        Its account so far.
+    point : RelaxedPoint or None
+        Where a refinement may start.
+    refined : Refined or None
+        Its best plan.
+    steps : tuple of Step
+        The proof of its first bound.
+    starts : int
+        Starts that proofs have added.
+    """
+
+    row: Row
+    point: RelaxedPoint | None = None
+    refined: Refined | None = None
+    steps: tuple[Step, ...] = ()
+    starts: int = 0
+
+
+def relax_node(setting: Setting, node: Node) -> Node:
+    """Bound a subset by its relaxation, or prove it infeasible."""
+    subset = node.row.subset
+    begin = time.perf_counter()
+    relaxed = relax_subset(setting.instance(subset))
+    seconds = time.perf_counter() - begin
+    programs = int(relaxed.solve_s > 0.0)
+    if relaxed.infeasible:
+        reason = "the relaxation has no point" if programs else "out of reach by interval bounds"
+        row = Row(subset, Outcome.INFEASIBLE, inf, inf, reason, programs, seconds)
+        return Node(row, steps=relaxed.steps)
+    row = Row(
+        subset,
+        Outcome.UNPROVED,
+        lower_bound=-inf if relaxed.lower_bound is None else relaxed.lower_bound,
+        programs=programs,
+        seconds=seconds,
+    )
+    return Node(row, relaxed.point, steps=relaxed.steps)
+
+
+def refine_node(setting: Setting, node: Node, starts: list[Controls] | None = None) -> Node:
+    """Plan a subset from its relaxed point or from given starts; a better plan it has stays."""
+    begin = time.perf_counter()
+    instance = setting.instance(node.row.subset)
+    if starts is None:
+        starts = [best_start(instance, node.point, node.row.lower_bound)]
+    found = [refine(instance, start, setting.refine) for start in starts]
+    best = best_of([*([node.refined] if node.refined else []), *found], instance)
+    row = replace(
+        node.row,
+        cost=best.trajectory.cost if best.feasible else inf,
+        outcome=Outcome.PLANNED if best.feasible else Outcome.UNPROVED,
+        reason="" if best.feasible else "no feasible plan found, none disproved",
+        programs=node.row.programs + sum(r.programs for r in found),
+        seconds=node.row.seconds + time.perf_counter() - begin,
+    )
+    return replace(node, row=row, refined=best)
+
+
+def examine_leaf(setting: Setting, leaf: Leaf, cutoff: float, deadline: float) -> Examined:
+    """Bound, shrink and cut a leaf."""
+    return examine(setting.instance, leaf, cutoff, deadline)
+
+
+def refine_splits(setting: Setting, node: Node) -> Node:
+    """Plan a subset again, from its energy split otherwise between the stops."""
+    assert node.refined is not None
+    instance = setting.instance(node.row.subset)
+    return refine_node(setting, node, split_starts(instance, node.refined.controls))
+
+
+def refine_point(setting: Setting, node: Node) -> Node:
+    """Plan a subset again, from the relaxed point it carries."""
+    assert node.point is not None
+    instance = setting.instance(node.row.subset)
+    return refine_node(setting, node, [relaxed_start(instance, node.point)])
