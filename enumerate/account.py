@@ -83,7 +83,7 @@ class Account:
     def _push(self, leaf: Leaf) -> None:
         leaf = replace(leaf, number=self._number)
         self._number += 1
-        heapq.heappush(self._open, (leaf.bound, leaf.number, leaf))
+        self.put_back([leaf])
 
     def root(self, row: Row, steps: tuple[Step, ...]) -> None:
         """Enter the bound of a fixed subset by its relaxation alone."""
@@ -114,6 +114,11 @@ class Account:
         for entry in aside:
             heapq.heappush(self._open, entry)
         return out
+
+    def put_back(self, leaves: Iterable[Leaf]) -> None:
+        """Return leaves that were taken and not examined."""
+        for leaf in leaves:
+            heapq.heappush(self._open, (leaf.bound, leaf.number, leaf))
 
     def enter(self, done: Examined, cutoff: float) -> None:
         """Enter what became of a leaf: its parts, or its last bound."""

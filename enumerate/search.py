@@ -163,10 +163,9 @@ class _Search:
 
     def _tell(self, phase: str, done: int, total: int) -> None:
         if self.report is not None:
-            known = [n.row.lower_bound for n in self.nodes.values()] if self.single else [inf]
-            bound = (
-                max(min(known), self.account.open_bound) if self.single else self.account.open_bound
-            )
+            bound = self.account.open_bound
+            if bound == inf:  # no leaves yet: every subset speaks for itself
+                bound = min(n.row.lower_bound for n in self.nodes.values())
             self.report(Progress(phase, done, total, self.cost, bound))
 
     def relax(self) -> None:
@@ -262,12 +261,15 @@ class _Search:
     def _examine_batch(self, cutoff: float) -> list[Examined]:
         """Examine the open leaves of least bound."""
         leaves = self.account.take(BATCH, cutoff)
-        task = partial(examine_leaf, self.setting, cutoff=cutoff, deadline=self.deadline)
-        examined = []
-        for done in run_in_order(self.executor, task, leaves):
-            self.account.enter(done, cutoff)
-            examined.append(done)
-            self._tell("prove" if cutoff < inf else "relax", *self.account.progress)
+        task = partial(examine_leaf, self._setting_now(), cutoff=cutoff, deadline=self.deadline)
+        examined: list[Examined] = []
+        try:
+            for done in run_in_order(self.executor, task, leaves):
+                self.account.enter(done, cutoff)
+                examined.append(done)
+                self._tell("prove" if cutoff < inf else "relax", *self.account.progress)
+        finally:  # an interrupt loses no leaf
+            self.account.put_back(leaves[len(examined) :])
         self._look_at_clock()
         return examined
 

@@ -13,7 +13,8 @@ from trips import small_trip
 
 from enumerate.account import Account
 from enumerate.ledger import Ledger, Outcome, Row
-from enumerate.search import plan
+from enumerate.result import Status
+from enumerate.search import Progress, plan
 from enumerate.tree import Leaf, examine, make_roots
 from relax.bound import relax_subset
 from relax.branch import Branch, Target, branch, decide, limit_count
@@ -248,13 +249,7 @@ def test_families_that_overlap_or_leave_a_gap_are_refused(rows: tuple[Row, ...])
 
 
 def test_many_chargers_give_the_plan_that_brute_force_gives() -> None:
-    base = trip("winter")
-    more = tuple(
-        replace(base.chargers[i % 3], name=f"m{i}", position_km=20.0 + 15.0 * i,
-                price_per_kwh=0.35 + 0.05 * ((7 * i) % 5))
-        for i in range(6)
-    )  # fmt: skip
-    wide = replace(base, chargers=more)
+    wide = many()
     brute = plan(wide, prune=False)
     tree = plan(wide, gap=0.02)
     assert brute.plan is not None and tree.plan is not None
@@ -263,6 +258,47 @@ def test_many_chargers_give_the_plan_that_brute_force_gives() -> None:
     assert tree.gap <= 0.0201 and tree.ledger.counts()["total"] == 64
     assert len(tree.ledger.rows) < 64
     assert plan(wide, gap=0.02, workers=2).ledger.counts() == tree.ledger.counts()
+
+
+def many() -> Trip:
+    """A trip with more chargers than are handled one subset at a time."""
+    base = trip("winter")
+    more = tuple(
+        replace(base.chargers[i % 3], name=f"m{i}", position_km=20.0 + 15.0 * i,
+                price_per_kwh=0.35 + 0.05 * ((7 * i) % 5))
+        for i in range(6)
+    )  # fmt: skip
+    return replace(base, chargers=more)
+
+
+@pytest.mark.parametrize("calls", [1, 3, 6, 14, 20])
+def test_an_interrupt_leaves_every_subset_accounted_for(calls: int) -> None:
+    seen = 0
+
+    def stop(progress: Progress) -> None:
+        nonlocal seen
+        seen += 1
+        if seen == calls:
+            raise KeyboardInterrupt
+
+    result = plan(many(), gap=0.001, progress=stop)
+    assert result.interrupted == "interrupted"
+    assert result.ledger.counts()["total"] == 64
+    assert result.lower_bound <= result.transcribed_cost
+
+
+@pytest.mark.parametrize("seconds", [0.0, 0.05, 0.5])
+def test_a_time_limit_leaves_a_valid_bound(seconds: float) -> None:
+    result = plan(many(), gap=1e-5, time_limit_s=seconds)
+    assert result.interrupted == "time limit reached"
+    assert result.ledger.counts()["total"] == 64
+    assert result.lower_bound <= result.transcribed_cost
+
+
+def test_no_plan_for_many_chargers_is_a_proof() -> None:
+    result = plan(replace(many(), start_soc=0.08))
+    assert result.status is Status.INFEASIBLE
+    assert result.ledger.counts()["infeasible"] == 64 and result.diagnosis is not None
 
 
 def test_leaves_carry_their_bound_to_their_parts() -> None:
