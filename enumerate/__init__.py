@@ -11,8 +11,11 @@ from typing import TYPE_CHECKING
 from relax.lazy import export
 
 if TYPE_CHECKING:
+    from enumerate.audit import Audit, audit
     from enumerate.cli import show_versions
     from enumerate.diagnose import Diagnosis
+    from enumerate.evidence import ProofNode
+    from enumerate.evidence_file import load_proofs, save_proofs
     from enumerate.front import Front, FrontPoint
     from enumerate.ledger import Ledger, Outcome, Row
     from enumerate.pareto import pareto
@@ -22,20 +25,25 @@ if TYPE_CHECKING:
     from enumerate.sweep import Sweep, SweepRow, sweep
 
 __all__ = [
+    "Audit",
     "Diagnosis",
     "Front",
     "FrontPoint",
     "Ledger",
     "Outcome",
     "Progress",
+    "ProofNode",
     "Result",
     "Row",
     "Status",
     "Sweep",
     "SweepRow",
+    "audit",
     "format_result",
+    "load_proofs",
     "pareto",
     "plan",
+    "save_proofs",
     "show_versions",
     "sweep",
 ]
@@ -43,20 +51,25 @@ __all__ = [
 export(
     __name__,
     {
+        "Audit": "audit",
         "Diagnosis": "diagnose",
         "Front": "front",
         "FrontPoint": "front",
         "Ledger": "ledger",
         "Outcome": "ledger",
         "Progress": "search",
+        "ProofNode": "evidence",
         "Result": "result",
         "Row": "ledger",
         "Status": "result",
         "Sweep": "sweep",
         "SweepRow": "sweep",
+        "audit": "audit",
         "format_result": "show",
+        "load_proofs": "evidence_file",
         "pareto": "pareto",
         "plan": "search",
+        "save_proofs": "evidence_file",
         "show_versions": "cli",
         "sweep": "sweep",
     },

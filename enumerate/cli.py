@@ -13,6 +13,9 @@ from typing import TYPE_CHECKING, Any, Literal, NoReturn, TextIO
 
 import click
 
+from enumerate.cli_audit import audit
+from enumerate.cli_studies import pareto, sweep
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
@@ -166,6 +169,17 @@ def _setting(
     help="Draw the plan into this folder, as PNG and SVG.",
 )
 @click.option(
+    "--ledger",
+    "ledger_file",
+    metavar="FILE",
+    help="Write the proofs of all bounds, for 'evrelax audit'.",
+)
+@click.option(
+    "--certificate",
+    is_flag=True,
+    help="Print the convexity certificate of the plan's stops as well.",
+)
+@click.option(
     "--workers",
     type=click.IntRange(min=1),
     default=1,
@@ -190,6 +204,8 @@ def plan(
     overrides: dict[str, object],
     json_file: str | None,
     plot_folder: Path | None,
+    ledger_file: str | None,
+    certificate: bool,
     workers: int,
     solver: Literal["clarabel", "osqp"],
     everything: bool,
@@ -197,11 +213,11 @@ def plan(
 ) -> None:
     """Plan TRIP, the name of a shipped trip or a TOML file.
 
-    Exit codes: 0 a plan was found; 1 it could not be written; 2 bad input; 3 proved infeasible;
-    4 stopped without a plan. Ctrl-C stops the search and prints what is known by then.
+    Exit codes: 0 a plan was found; 1 it or its ledger could not be written; 2 bad input; 3 proved
+    infeasible; 4 stopped without a plan. Ctrl-C stops the search and prints what is known by then.
     """
     with _input_errors():
-        _check_outputs(json_file, plot_folder)
+        _check_outputs(json_file, plot_folder, ledger_file)
         loaded = _load(trip, overrides)
     try:
         from enumerate.search import plan as plan_trip
@@ -215,10 +231,16 @@ def plan(
                 solver=solver,
                 prune=not everything,
                 progress=report,
+                keep_proofs=ledger_file is not None,
             )
     except KeyboardInterrupt:
         _fail("interrupted before a plan could be driven", STOPPED)
-    sys.exit(_tell(result, loaded, json_file, plot_folder))
+    code = _tell(result, loaded, json_file, plot_folder)
+    if certificate and result.certificate is not None:
+        _echo(f"\n{result.certificate}", err=json_file == STDOUT)
+    if ledger_file is not None:
+        _save_ledger(ledger_file, loaded, result)
+    sys.exit(code)
 
 
 @main.command()
@@ -245,6 +267,11 @@ def schema(what: str) -> None:
 def versions() -> None:
     """Print the versions that a bug report needs."""
     show_versions()
+
+
+main.add_command(audit)
+main.add_command(pareto)
+main.add_command(sweep)
 
 
 # ---------------------------------------------------------------------------- input
@@ -309,12 +336,16 @@ def _fail(message: str, code: int) -> NoReturn:
     sys.exit(code)
 
 
-def _check_outputs(json_file: str | None, plot_folder: Path | None) -> None:
+def _check_outputs(
+    json_file: str | None, plot_folder: Path | None, ledger_file: str | None = None
+) -> None:
     """Refuse outputs that cannot be written before anything is computed."""
     import tempfile
 
-    if json_file is not None and json_file != STDOUT:
-        path = Path(json_file)
+    for option, file in (("--json", json_file), ("--ledger", ledger_file)):
+        if file is None or (option == "--json" and file == STDOUT):
+            continue
+        path = Path(file)
         there = path.exists()
         try:
             if path.is_file() or path.is_dir() or not there:  # opening a pipe would wait
@@ -323,7 +354,7 @@ def _check_outputs(json_file: str | None, plot_folder: Path | None) -> None:
                 if not there:
                     path.unlink()
         except OSError as error:
-            raise _unwritable("--json", json_file, error, "a file that can be written") from error
+            raise _unwritable(option, file, error, "a file that can be written") from error
     if plot_folder is not None:
         try:
             plot_folder.mkdir(parents=True, exist_ok=True)
@@ -412,6 +443,18 @@ def _tell(result: Result, trip: Trip, json_file: str | None, plot_folder: Path |
     if result.plan is not None:
         return PLANNED
     return INFEASIBLE if result.status is Status.INFEASIBLE else STOPPED
+
+
+def _save_ledger(file: str, trip: Trip, result: Result) -> None:
+    """Write the proofs of a result."""
+    from enumerate.evidence_file import save_proofs
+
+    if not result.proofs:
+        _fail("nothing is proved yet: no ledger was written", NOT_WRITTEN)
+    try:
+        save_proofs(file, trip, result)
+    except OSError as error:
+        _fail(f"the ledger could not be written: {error}", NOT_WRITTEN)
 
 
 def _echo(text: str, err: bool = False) -> None:

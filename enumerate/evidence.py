@@ -1,18 +1,26 @@
-"""Owns the evidence of a search as data: which box was cut where, and by which dual vectors.
+"""Owns the evidence of a search as data: boxes, cuts, dual vectors, and what is claimed.
 
 Trees of nodes: a root is a family of subsets with the box that dynamics alone imply,
-the parts of a node follow from where it was cut. Knows nothing of how it was found.
+the parts of a node follow from where it was cut. Beside them the ledger's rows, the plan's
+controls and the numbers that were printed. Knows nothing of how any of it was found, of
+files and of what is true.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
+from enumerate.ledger import Row
 from enumerate.subset import Subset
 from relax.branch import Branch
 from relax.proof import Step
 
-__all__ = ["ProofNode"]
+if TYPE_CHECKING:
+    from relax.plan import Controls
+    from relax.trip import Grid
+
+__all__ = ["DrivenPlan", "Evidence", "ProofNode"]
 
 
 @dataclass(frozen=True)
@@ -40,6 +48,12 @@ class ProofNode:
         Where it was cut.
     bound : float
         Claim: no plan in it costs less [currency]; ``inf``: it holds none.
+
+    Examples
+    --------
+    >>> node = ProofNode(0, -1, 0, (1,), (), (1, 1), float("inf"), (), None, 300.0)
+    >>> node.parent, node.bound
+    (-1, 300.0)
     """
 
     number: int
@@ -52,3 +66,82 @@ class ProofNode:
     steps: tuple[Step, ...]
     how: Branch | None
     bound: float
+
+
+@dataclass(frozen=True)
+class DrivenPlan:
+    """What the car is told: enough to drive the plan again.
+
+    Parameters
+    ----------
+    stops : tuple of int
+        Chargers used, in driving order.
+    controls : Controls
+        Schedules of all powers.
+    targets_kwh : tuple of float
+        Internal energy at which charging ends, one per stop [kWh].
+
+    Examples
+    --------
+    >>> from relax import idle_controls, load_trip, make_instance
+    >>> instance = make_instance(load_trip("paper-400km"), (1,))
+    >>> DrivenPlan((1,), idle_controls(instance, (20.0,)), (60.0,)).stops
+    (1,)
+    """
+
+    stops: tuple[int, ...]
+    controls: Controls
+    targets_kwh: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """Everything that was claimed of a trip, with its proofs.
+
+    Parameters
+    ----------
+    trip : str
+        Name of the trip.
+    fingerprint : str
+        Hash of the numbers of the trip, see ``evidence_file.fingerprint``.
+    n_chargers : int
+        Number of chargers.
+    grid : Grid
+        Steps and cells of the transcription.
+    status : str
+        What the search called its result.
+    cost, lower_bound, gap : float
+        Replayed cost of the plan, bound of all plans, their relative gap.
+    transcribed : float
+        Cost of the plan on the transcription, ``inf`` without one.
+    asked_gap : float or None
+        Relative gap within which a plan is called optimal, None: the usual one.
+    rows : tuple of Row
+        The ledger's rows; that they account for every subset is itself a claim here.
+    nodes : tuple of ProofNode
+        The proofs.
+    driven : DrivenPlan or None
+        The plan, if there is one.
+
+    Examples
+    --------
+    >>> from relax.trip import Grid
+    >>> claims = {name: float("inf") for name in ("cost", "lower_bound", "gap", "transcribed")}
+    >>> rest = {"asked_gap": None, "rows": (), "nodes": ()}
+    >>> Evidence("t", "0", 1, Grid(), "unknown", **claims, **rest).driven is None
+    True
+    """
+
+    trip: str
+    fingerprint: str
+    n_chargers: int
+    grid: Grid
+    status: str
+    cost: float
+    lower_bound: float
+    gap: float
+    transcribed: float
+    asked_gap: float | None
+    rows: tuple[Row, ...]
+    nodes: tuple[ProofNode, ...]
+    driven: DrivenPlan | None = None

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from enum import Enum
+from functools import cached_property
 from math import isfinite
 from typing import TYPE_CHECKING, Any
 
@@ -15,8 +16,12 @@ from enumerate.ledger import Ledger
 
 if TYPE_CHECKING:
     from enumerate.diagnose import Diagnosis
+    from relax.certificate import Certificate
     from relax.driven import Replay
+    from relax.execute import Execution
+    from relax.instance import Instance
     from relax.report import PlanReport
+    from relax.trip import Grid
 
 __all__ = ["Result", "Status"]
 
@@ -68,6 +73,12 @@ class Result:
         Evidence of all bounds, if it was to be kept.
     diagnosis : Diagnosis or None
         Without a plan: how far the car gets and what would help.
+    grid : Grid or None
+        Steps and cells of the transcription; None if it is not known.
+    instance : Instance or None
+        Transcription of the plan's subset.
+    execution : Execution or None
+        The plan as the car is told: its controls and charging targets.
     """
 
     trip: str
@@ -86,6 +97,29 @@ class Result:
     programs: int = 0
     proofs: tuple[ProofNode, ...] = ()
     diagnosis: Diagnosis | None = None
+    grid: Grid | None = None
+    instance: Instance | None = field(default=None, repr=False, compare=False)
+    execution: Execution | None = field(default=None, repr=False, compare=False)
+
+    @cached_property
+    def certificate(self) -> Certificate | None:
+        """Convexity certificate of the plan's subset, printed by ``str``; None without a plan.
+
+        Made when it is first asked for, which solves one program; kept from then on.
+
+        Examples
+        --------
+        >>> from enumerate import plan
+        >>> from relax import load_trip
+        >>> result = plan(load_trip("paper-400km", overrides={"route.ambient_c": 10}))
+        >>> result.certificate.structure.convex
+        True
+        """
+        if self.instance is None:
+            return None
+        from relax.certificate import make_certificate  # imports a solver
+
+        return make_certificate(self.instance)
 
     @property
     def gap(self) -> float:

@@ -429,9 +429,10 @@ def plan(
 def _result(search: _Search, gap: float | None, timings: dict[str, float], begin: float) -> Result:
     """Sum up a finished or interrupted search."""
     trip, done = search.setting.trip, search.execution
-    report, replayed, cost = None, None, inf
+    report, replayed, instance, cost = None, None, None, inf
     if done is not None and done.replay is not None and search.driven is not None:
-        report = make_report(trip, search.setting.instance(search.driven.row.subset), done)
+        instance = search.setting.instance(search.driven.row.subset)
+        report = make_report(trip, instance, done)
         replayed, cost = done.replay, done.replay.cost
     enough = DEFAULT_GAP if gap is None else gap
     closing = inf if done is None else closing_cost(cost, enough, done.trajectory.cost)
@@ -462,4 +463,7 @@ def _result(search: _Search, gap: float | None, timings: dict[str, float], begin
         asked_gap=gap,
         interrupted=search.interrupted,
         diagnosis=diagnose(trip, search.setting.drive) if settled else None,
+        grid=search.setting.grid,
+        instance=instance,
+        execution=None if report is None else done,
     )

@@ -7,13 +7,16 @@ computes no cost. What is not known is shown as ``-``, never as 0.
 from __future__ import annotations
 
 import textwrap
+from itertools import combinations
 from math import inf, isfinite
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from enumerate.gap import relative_gap
 from enumerate.ledger import Outcome, Row
 from enumerate.result import Result, Status
+from enumerate.subset import Subset
 from enumerate.table import MISSING, WIDTH, clock, minutes, number, paragraph, percent, table
 
 if TYPE_CHECKING:
@@ -23,7 +26,11 @@ if TYPE_CHECKING:
 __all__ = ["format_result"]
 
 MAX_ROWS = 16
-"""Subsets listed one by one; of more, the best ones and the numbers of the others."""
+"""Rows listed one by one; of more, the best ones and a line per outcome for the others."""
+FEW_NAMES = 2
+"""Up to this many undecided chargers are named."""
+FEW_MEMBERS = 64
+"""Up to this many subsets of a family are looked through, to name a single one that is left."""
 
 USES = {
     "propulsion_and_auxiliaries": "propulsion and auxiliaries",
@@ -220,7 +227,42 @@ def _no_plan(result: Result) -> str:
 
 
 def _name(result: Result, row: Row) -> str:
-    return " + ".join(result.chargers[i] for i in row.subset) or "no stop"
+    """Return the stops a row speaks of: one choice, or a family of them with its size."""
+    names = result.chargers
+    if not row.undecided:
+        return " + ".join(names[i] for i in row.subset) or "no stop"
+    members = _members(row)
+    if members is not None and len(members) == 1:
+        return " + ".join(names[i] for i in members[0]) or "no stop"
+    free, used = len(row.undecided), len(row.subset)
+    least, most = row.count or (0, used + free)
+    least, most = max(least - used, 0), min(most - used, free)
+    if least == most:
+        many = "all" if least == free else f"{least} of"
+    elif least == 0:
+        many = "any of" if most == free else f"up to {most} of"
+    else:
+        many = f"at least {least} of" if most == free else f"{least} to {most} of"
+    others = ", ".join(names[i] for i in row.undecided) if free <= FEW_NAMES else (
+        f"{free} {'others' if used else 'chargers'}"
+    )  # fmt: skip
+    subsets = "1 subset" if row.size == 1 else f"{row.size} subsets"
+    apart = ", those listed apart left out" if row.without else ""
+    return " + ".join([*(names[i] for i in row.subset), f"{many} {others} ({subsets}{apart})"])
+
+
+def _members(row: Row) -> list[Subset] | None:
+    """Return the subsets a row speaks of, if they are few enough to look through."""
+    if row.size + len(row.without) > FEW_MEMBERS:
+        return None
+    used = len(row.subset)
+    least, most = row.count or (0, used + len(row.undecided))
+    return [
+        subset
+        for size in range(max(least - used, 0), min(most - used, len(row.undecided)) + 1)
+        for more in combinations(row.undecided, size)
+        if (subset := tuple(sorted((*row.subset, *more)))) not in row.without
+    ]
 
 
 def _best_row(result: Result) -> Row | None:
@@ -229,21 +271,33 @@ def _best_row(result: Result) -> Row | None:
         return None
     stops = sorted(s.charger for s in result.plan.stops)
     for row in result.ledger.rows:
-        if sorted(result.chargers[i] for i in row.subset) == stops:
+        if not row.undecided and sorted(result.chargers[i] for i in row.subset) == stops:
             return row
     return None
 
 
-def _why(row: Row, best: Row | None) -> str:
-    """Return how a subset ended, beside the best plan."""
-    if best is not None and row.subset == best.subset:
+def _why(result: Result, row: Row, best: Row | None) -> str:
+    """Return how a subset or family ended, beside the best plan."""
+    if best is not None and row is best:
         return "the plan"
-    if row.outcome is Outcome.PLANNED and best is not None:
-        text = f"costs {number(row.cost - best.cost, 2)} more"
-        return text + ("; a better one is not ruled out" if row.lower_bound < best.cost else "")
-    if row.outcome is Outcome.BOUNDED and best is not None:
-        return f"cannot be better: costs at least {number(row.lower_bound - best.cost, 2)} more"
-    return f"{row.outcome.value}{': ' if row.reason else ''}{row.reason}"
+    if best is not None and row.outcome in (Outcome.PLANNED, Outcome.BOUNDED):
+        planned = row.outcome is Outcome.PLANNED
+        text = f"costs {number(row.cost - best.cost, 2)} more" if planned else ""
+        if row.lower_bound >= best.cost:
+            more = number(row.lower_bound - best.cost, 2)
+            return text or f"cannot be better: costs at least {more} more"
+        if not isfinite(row.lower_bound):
+            return f"{text}; a better one is not ruled out"
+        share = percent(relative_gap(result.cost, row.lower_bound), 2)
+        if planned:
+            return f"{text}; none is better by more than {share} %"
+        return f"cannot be better by more than {share} %"
+    notes = [] if row.undecided and row.outcome is Outcome.UNPROVED else [row.reason]
+    if row.outcome is Outcome.UNPROVED and best is not None and isfinite(row.lower_bound):
+        share = percent(relative_gap(result.cost, row.lower_bound), 2)
+        notes.append(f"up to {share} % better is not ruled out")
+    text = "; ".join(note for note in notes if note)
+    return f"{row.outcome.value}: {text}" if text else row.outcome.value
 
 
 def _subsets(result: Result) -> str:
@@ -252,20 +306,21 @@ def _subsets(result: Result) -> str:
     rows = sorted(
         result.ledger.rows,
         key=lambda r: (
-            best is None or r.subset != best.subset,
+            r is not best,
             r.cost,
             r.outcome is Outcome.INFEASIBLE,
             r.lower_bound if isfinite(r.lower_bound) else inf,
             len(r.subset),
         ),
     )
-    shown = rows if len(rows) <= MAX_ROWS else rows[: MAX_ROWS - 4]
+    shown = rows if len(rows) <= MAX_ROWS else rows[: MAX_ROWS - len(Outcome)]
+    lines = [
+        (_name(result, r), number(r.cost, 2), number(r.lower_bound, 2), _why(result, r, best))
+        for r in shown
+    ]
     listed = table(
         ("stops", f"plan\n{result.currency}", f"bound\n{result.currency}", "outcome"),
-        [
-            (_name(result, r), number(r.cost, 2), number(r.lower_bound, 2), _why(r, best))
-            for r in shown
-        ],
+        [*lines, *_rest(rows[len(shown) :])],
         words_last=True,
     )
     counts = result.ledger.counts()
@@ -276,11 +331,27 @@ def _subsets(result: Result) -> str:
         "unproved": "not settled",
     }
     said = ", ".join(f"{counts[k]} {word}" for k, word in words.items() if counts[k])
-    cut = f"; {len(shown)} are listed, best first" if len(shown) < len(rows) else ""
-    text = f"{listed}\n{counts['total']} choices of stops: {said}{cut}."
-    if any(isfinite(r.cost) or isfinite(r.lower_bound) for r in shown):
+    text = f"{listed}\n{counts['total']} choices of stops: {said}."
+    if result.programs:
+        programs = "1 program" if result.programs == 1 else f"{result.programs} programs"
+        text += f"\nSolved for it: {programs} for {counts['total']} subsets."
+    if any(isfinite(r.cost) or isfinite(r.lower_bound) for r in rows):
         text += "\nCosts and bounds here are those of the transcription."
     return text
+
+
+def _rest(rows: list[Row]) -> list[tuple[str, str, str, str]]:
+    """Return one line per outcome for rows that are not listed: their number and least bound."""
+    lines = []
+    for outcome in Outcome:
+        alike = [row for row in rows if row.outcome is outcome]
+        size = sum(row.size for row in alike)
+        if alike:
+            subsets = "1 other subset" if size == 1 else f"{size} other subsets"
+            cost = min(row.cost for row in alike)
+            bound = min(row.lower_bound for row in alike)
+            lines.append((subsets, number(cost, 2), number(bound, 2), outcome.value))
+    return lines
 
 
 def _unused(result: Result) -> str:
@@ -288,12 +359,14 @@ def _unused(result: Result) -> str:
     best = _best_row(result)
     if best is None:
         return ""
+    unused = [i for i in range(len(result.chargers)) if i not in best.subset]
+    if len(unused) > MAX_ROWS:
+        return ""  # a line each would bury the rest
     lines = []
-    for i, name in enumerate(result.chargers):
-        if i in best.subset:
-            continue
-        rows = [r for r in result.ledger.rows if i in r.subset]
-        lines.append(textwrap.fill(f"{name}: {_unused_reason(result, rows, best)}", WIDTH - 2))
+    for i in unused:
+        rows = [r for r in result.ledger.rows if i in r.subset or i in r.undecided]
+        text = f"{result.chargers[i]}: {_unused_reason(result, rows, best)}"
+        lines.append(textwrap.fill(text, WIDTH - 2))
     if not lines:
         return ""
     body = "\n".join(textwrap.indent(line, "  ") for line in lines)
@@ -301,6 +374,7 @@ def _unused(result: Result) -> str:
 
 
 def _unused_reason(result: Result, rows: list[Row], best: Row) -> str:
+    """Return what is known of all choices with a charger; families may hold others besides."""
     planned = min((r for r in rows if r.cost < inf), key=lambda r: r.cost, default=None)
     if planned is not None:
         more = number(planned.cost - best.cost, 2)
@@ -312,6 +386,12 @@ def _unused_reason(result: Result, rows: list[Row], best: Row) -> str:
     if least >= best.cost:
         more = number(least - best.cost, 2)
         return f"every plan with it costs at least {more} {result.currency} more"
+    if all(r.outcome in (Outcome.BOUNDED, Outcome.INFEASIBLE) for r in rows):
+        share = percent(relative_gap(result.cost, least), 2)
+        return f"no plan with it is better by more than {share} %"
+    if isfinite(least):
+        share = percent(relative_gap(result.cost, least), 2)
+        return f"no plan with it was found; up to {share} % better is not ruled out"
     return "no plan with it was found, and none is ruled out"
 
 

@@ -45,8 +45,9 @@ class Leaf:
     number, parent, part : int
         Its place in the evidence, that of the leaf it is a part of (-1: none), and
         which part.
-    clean : bool
-        No cutoff went into its box: if it is empty, the family is infeasible.
+    limit : float
+        Least cutoff that shrank its box [currency]: what lies outside costs at least this,
+        so no more is proved of the family. ``inf``: if the box is empty, it is infeasible.
     """
 
     subset: Subset
@@ -57,7 +58,7 @@ class Leaf:
     number: int = -1
     parent: int = -1
     part: int = 0
-    clean: bool = True
+    limit: float = inf
 
     def start(self, instance: Instance) -> Box:
         """Return the box to work on."""
@@ -150,14 +151,16 @@ def examine(
         instance, box, cutoff, bound=leaf.bound, fresh=leaf.box is None, deadline=deadline
     )
     parts: tuple[Leaf, ...] = ()
-    clean = leaf.clean and all(step.kind != "shrink" for step in done.steps)
+    shrunk = any(step.kind == "shrink" for step in done.steps)
+    limit = min(leaf.limit, cutoff) if shrunk else leaf.limit
+    bound = min(done.bound, limit)
     if not done.closed and done.how is not None:
-        parts = cut(instance, replace(leaf, bound=done.bound, clean=clean), done.box, done.how)
+        parts = cut(instance, replace(leaf, bound=bound, limit=limit), done.box, done.how)
     return Examined(
         leaf=leaf,
-        bound=done.bound,
+        bound=bound,
         closed=done.closed,
-        infeasible=done.closed and clean and done.proved < cutoff,
+        infeasible=done.closed and limit == inf and done.proved < cutoff,
         how=None if done.closed else done.how,
         parts=parts,
         steps=done.steps,
@@ -203,7 +206,7 @@ def cut(instance: Instance, leaf: Leaf, box: Box, how: Branch) -> tuple[Leaf, ..
                 part,
                 part.count,
                 part=int(not first),
-                clean=leaf.clean,
+                limit=leaf.limit,
             )
         )
     return tuple(out)

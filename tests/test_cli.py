@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import re
 import sys
+from dataclasses import replace
 from pathlib import Path
 from subprocess import CompletedProcess, run
 
@@ -12,10 +14,12 @@ import pytest
 from click.testing import CliRunner, Result
 from trips import write_trip
 
+import enumerate.audit  # noqa: F401 - one test replaces a name in it
 import relax
-from enumerate import cli, search
+from enumerate import cli, evidence_file, load_proofs, search
 from enumerate import plan as plan_trip
 from enumerate.cli import main
+from enumerate.evidence_file import save_evidence
 
 
 @pytest.fixture
@@ -79,6 +83,66 @@ def test_same_answer_as_the_library(trip: Path) -> None:
     assert value == expected
 
 
+def test_a_ledger_is_written_and_audited(trip: Path, tmp_path: Path) -> None:
+    file = tmp_path / "trip.proofs"
+    done = call("plan", trip, "--gap", 0.05, "--ledger", file, "--quiet")
+    assert done.exit_code == 0, done.output
+    audited = shell("audit", file, trip)
+    assert audited.returncode == 0 and audited.stderr == "", audited.stderr
+    assert "every claim holds" in audited.stdout and "4 choices of stops" in audited.stdout
+    assert re.search(r"^gap +\d+\.\d+ %\.$", audited.stdout, flags=re.M)
+    other = call("audit", file, trip, "--set", "start.soc=0.46")
+    assert other.exit_code == 2 and other.stdout == "" and other.stderr.count("\n") == 1
+    assert "with the same numbers" in other.stderr
+    for wrong in (tmp_path / "nothing", trip):
+        refused = call("audit", wrong, trip)
+        assert refused.exit_code == 2 and refused.stderr.startswith(f"evrelax: {wrong}: proofs: ")
+    assert call("audit", file, "nowhere").exit_code == 2
+
+
+def test_a_false_ledger_fails_and_says_where(trip: Path, tmp_path: Path) -> None:
+    file = tmp_path / "trip.proofs"
+    assert call("plan", trip, "--ledger", file, "--quiet").exit_code == 0
+    evidence = load_proofs(file)
+    nodes = tuple(replace(n, bound=2.0 * n.bound) for n in evidence.nodes)
+    save_evidence(file, replace(evidence, nodes=nodes))
+    done = call("audit", file, trip)
+    assert done.exit_code == 1 and "claims fail" in done.stdout and "FAILS   node" in done.stdout
+
+
+def test_a_ledger_that_cannot_be_written(
+    trip: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert call("plan", trip, "--ledger", tmp_path).exit_code == 2
+    assert call("plan", trip, "--ledger", tmp_path / "no" / "folder").exit_code == 2
+
+    def full(*_: object) -> None:
+        raise OSError("no space left")
+
+    monkeypatch.setattr(evidence_file, "save_proofs", full)
+    done = call("plan", trip, "--ledger", tmp_path / "new")
+    assert done.exit_code == 1 and "destination" in done.stdout and "no space left" in done.stderr
+
+
+def test_the_certificate_is_printed_when_asked_for(trip: Path) -> None:
+    done = call("plan", trip, "--certificate", "--quiet")
+    assert done.exit_code == 0 and "convex by structure" in done.stdout
+    assert "convex by structure" not in call("plan", trip, "--quiet").stdout
+    pure = call("plan", trip, "--certificate", "--quiet", "--json", "-")
+    assert json.loads(pure.stdout)["cost"] > 0 and "convex by structure" in pure.stderr
+
+
+def test_an_interrupted_audit_confirms_nothing(
+    trip: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(sys.modules["enumerate.audit"], "audit", interrupted)
+    done = call("audit", tmp_path / "any", trip)
+    assert done.exit_code == 4 and done.stdout == "" and done.stderr.count("\n") == 1
+
+
 def test_infeasible_says_how_far_and_what_would_help(trip: Path) -> None:
     done = call("plan", trip, "--set", "start.soc=0.06", "--set", "charger.1.position_km=119")
     assert done.exit_code == 3, done.output
@@ -89,7 +153,7 @@ def test_stopped_without_a_plan(trip: Path, monkeypatch: pytest.MonkeyPatch) -> 
     def interrupted(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(search, "_relax_node", interrupted)
+    monkeypatch.setattr(search, "relax_node", interrupted)
     done = call("plan", trip)
     assert done.exit_code == 4, done.output
     assert "interrupted" in done.stdout and "status  unknown" in done.stdout
@@ -99,7 +163,7 @@ def test_stopped_without_a_plan(trip: Path, monkeypatch: pytest.MonkeyPatch) -> 
 
 
 def test_interrupted_with_a_plan_prints_it(trip: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    real, calls = search._refine, []
+    real, calls = search.refine_node, []
 
     def second_fails(*arguments: object, **options: object) -> object:
         calls.append(1)
@@ -107,7 +171,7 @@ def test_interrupted_with_a_plan_prints_it(trip: Path, monkeypatch: pytest.Monke
             raise KeyboardInterrupt
         return real(*arguments, **options)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(search, "_refine", second_fails)
+    monkeypatch.setattr(search, "refine_node", second_fails)
     done = call("plan", trip, "--all")
     assert done.exit_code == 0, done.output
     assert "interrupted" in done.stdout and "destination" in done.stdout
@@ -219,6 +283,7 @@ def test_versions_name_every_dependency() -> None:
 def test_help_imports_nothing_heavy() -> None:
     code = (
         "import sys\nfrom enumerate.cli import main\n"
+        "assert {'audit', 'pareto', 'plan', 'sweep'} <= set(main.commands)\n"
         "try:\n    main(['plan', '--help'])\nexcept SystemExit as e:\n    assert not e.code\n"
         "heavy = {'numpy', 'scipy', 'clarabel', 'matplotlib', 'pydantic', 'tqdm'}\n"
         "sys.exit(str(heavy & set(sys.modules)) if heavy & set(sys.modules) else 0)"

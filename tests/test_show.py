@@ -10,6 +10,7 @@ import pytest
 from trips import small_trip
 
 from enumerate import Diagnosis, Ledger, Outcome, Result, Row, Status, format_result, plan
+from enumerate.show import _name
 from enumerate.table import WIDTH, printable, table
 from relax.trip import Trip
 
@@ -173,9 +174,100 @@ def test_more_than_sixteen_subsets_are_counted(result: Result) -> None:
     names = tuple("abcde")
     subsets = [tuple(i for i in range(5) if m >> i & 1) for m in range(32)]
     rows = tuple(Row(s, Outcome.BOUNDED, lower_bound=400.0 + len(s)) for s in subsets)
-    many = dataclasses.replace(result, ledger=Ledger(5, rows), chargers=names, plan=None)
+    many = dataclasses.replace(
+        result, ledger=Ledger(5, rows), chargers=names, plan=None, programs=0
+    )
     text = format_result(many)
-    assert "32 choices of stops: 32 cannot be better; 12 are listed, best first." in text
+    assert "32 choices of stops: 32 cannot be better." in text
+    block = next(b for b in text.split("\n\n") if "outcome" in b)
+    listed = block.split("\n")[2:]
+    assert len(listed) == 12 + 1 + 1 + len(["Costs"]) and "403.00" not in "".join(listed[:12])
+    assert listed[12].split() == "20 other subsets - 402.00 cannot be better".split()
+
+
+def test_hundreds_of_rows_are_summed_by_outcome(result: Result) -> None:
+    subsets = [tuple(i for i in range(9) if m >> i & 1) for m in range(512)]
+    outcomes = [Outcome.PLANNED] * 20 + [Outcome.UNPROVED] * 100 + [Outcome.INFEASIBLE] * 300
+    outcomes += [Outcome.BOUNDED] * 92
+    rows = tuple(
+        Row(s, o, 500.0 + k if o is Outcome.PLANNED else inf, 400.0 + k)
+        for k, s, o in zip(range(512), subsets, outcomes, strict=True)
+    )
+    names = tuple(f"charger {i}" for i in range(9))
+    many = dataclasses.replace(
+        result, ledger=Ledger(9, rows), chargers=names, plan=None, programs=1764
+    )
+    text = format_result(many)
+    block = next(b for b in text.split("\n\n") if "outcome" in b).split("\n")
+    assert len(block) < 24
+    summed = [re.split(r"\s{2,}", row) for row in block if "other subsets" in row]
+    assert summed == [
+        ["8 other subsets", "512.00", "412.00", "planned"],
+        ["92 other subsets", "-", "820.00", "cannot be better"],
+        ["300 other subsets", "-", "520.00", "proved infeasible"],
+        ["100 other subsets", "-", "420.00", "not settled"],
+    ]
+    assert "Solved for it: 1764 programs for 512 subsets." in block
+
+
+@pytest.mark.parametrize(
+    ("row", "name"),
+    [
+        (Row((1,), Outcome.BOUNDED), "b"),
+        (Row((), Outcome.BOUNDED), "no stop"),
+        (
+            Row((1,), Outcome.BOUNDED, undecided=(0, 2, 3, 4, 5), count=(0, 6)),
+            "b + any of 5 others (32 subsets)",
+        ),
+        (
+            Row((1, 2), Outcome.BOUNDED, undecided=(0, 3, 4), count=(3, 3)),
+            "b + c + 1 of 3 others (3 subsets)",
+        ),
+        (
+            Row((), Outcome.BOUNDED, undecided=(0, 1, 2, 3, 4, 5), count=(3, 6)),
+            "at least 3 of 6 chargers (42 subsets)",
+        ),
+        (
+            Row((), Outcome.BOUNDED, undecided=(0, 1, 2, 3), count=(0, 2)),
+            "up to 2 of 4 chargers (11 subsets)",
+        ),
+        (
+            Row((5,), Outcome.BOUNDED, undecided=(0, 1, 2, 3), count=(2, 3)),
+            "f + 1 to 2 of 4 others (10 subsets)",
+        ),
+        (Row((5,), Outcome.BOUNDED, undecided=(0, 1), count=(1, 3)), "f + any of a, b (4 subsets)"),
+        (Row((5,), Outcome.BOUNDED, undecided=(0, 1), count=(3, 3)), "a + b + f"),
+        (
+            Row((), Outcome.BOUNDED, undecided=(0, 1, 4), count=(1, 1), without=((0,),)),
+            "1 of 3 chargers (2 subsets, those listed apart left out)",
+        ),
+        (
+            Row((), Outcome.BOUNDED, undecided=(0, 1, 4), count=(1, 1), without=((0,), (4,))),
+            "b",
+        ),
+        (Row((), Outcome.BOUNDED, undecided=(0, 1), count=(0, 0)), "no stop"),
+    ],
+)
+def test_a_family_is_named_by_what_it_holds(result: Result, row: Row, name: str) -> None:
+    assert _name(dataclasses.replace(result, chargers=tuple("abcdef")), row) == name
+
+
+def test_a_family_is_never_taken_for_the_plan(result: Result) -> None:
+    """A plan without stops and a family without decided stops both have an empty subset."""
+    plan_ = result.plan
+    assert plan_ is not None
+    rows = (
+        Row((), Outcome.BOUNDED, inf, 95.0, undecided=(0, 1), count=(1, 2)),
+        Row((), Outcome.PLANNED, 100.0, 99.0),
+    )
+    bare = dataclasses.replace(
+        result, cost=100.0, lower_bound=95.0, ledger=Ledger(2, rows),
+        plan=dataclasses.replace(plan_, stops=(), charge=()),
+    )  # fmt: skip
+    text = format_result(bare)
+    assert line(text, "no stop").endswith("the plan")
+    assert "at least 1 of" in text and "cannot be better by more than 5.00 %" in text
+    assert "no plan with it is better by more than 5.00 %" in text
 
 
 def test_infeasible_gives_reason_and_remedies() -> None:
