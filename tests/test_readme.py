@@ -1,4 +1,5 @@
 """README.md says what happens: its examples run, its outputs and its tables are the present ones.
+So do the programs of docs/examples.md and the figures of docs/relaxation.md.
 
 Words must be equal; numbers may differ by ``TOLERANCE``, since another processor may end
 elsewhere in the last digits. Tables of measured figures are compared with the result files by
@@ -14,6 +15,7 @@ import json
 import re
 import shlex
 from collections.abc import Callable
+from itertools import combinations
 from pathlib import Path
 from statistics import median
 
@@ -22,10 +24,16 @@ from click.testing import CliRunner
 
 from enumerate import plan
 from enumerate.cli import main
-from relax import load_trip
+from relax import load_trip, make_instance
+from relax.bound import relax_subset
+from relax.branch import limit_count
+from relax.reach import make_box
+from relax.tighten import prove
 
 ROOT = Path(__file__).parent.parent
 README = (ROOT / "README.md").read_text(encoding="utf-8")
+EXAMPLES = (ROOT / "docs" / "examples.md").read_text(encoding="utf-8")
+PROOFS = (ROOT / "docs" / "relaxation.md").read_text(encoding="utf-8")
 RESULTS = ROOT / "benchmarks" / "results"
 TOLERANCE = 0.03
 """Relative, and at least one unit of the last digit printed."""
@@ -91,6 +99,21 @@ def test_python_blocks_print_what_follows_them() -> None:
         assert_told(said, printed.getvalue())
 
 
+@pytest.mark.parametrize("title", re.findall(r"^## (.*)$", EXAMPLES, re.MULTILINE))
+def test_an_example_prints_what_follows_it(
+    title: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (section,) = re.findall(rf"^## {re.escape(title)}$(.*?)(?=^## |\Z)", EXAMPLES, re.M | re.S)
+    ((code, said),) = re.findall(
+        r"^```python\n(.*?)^```\n\n```text\n(.*?)^```$", section, re.M | re.S
+    )
+    monkeypatch.chdir(tmp_path)
+    printed = io.StringIO()
+    with contextlib.redirect_stdout(printed):
+        exec(compile(code, "examples.md", "exec"), {})
+    assert_told(said, printed.getvalue())
+
+
 @pytest.fixture
 def in_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A working directory that holds the trip of the page."""
@@ -115,12 +138,15 @@ def test_command_lines(in_folder: Path) -> None:
         for line in block.splitlines()
         if line.startswith("evrelax ")
     ]
-    assert len(commands) >= 8
+    assert len(commands) >= 13
     for command in commands:
         done = CliRunner().invoke(main, command)
         assert done.exit_code == 0, (command, done.output)
     assert json.loads((in_folder / "plan.json").read_text(encoding="utf-8"))["plan"]["stops"]
     assert {f.suffix for f in (in_folder / "figures").iterdir()} == {".png", ".svg"}
+    assert len((in_folder / "rows.jsonl").read_text(encoding="utf-8").splitlines()) == 4
+    assert (in_folder / "trip.proofs").stat().st_size > 0
+    assert {command[0] for command in commands} == set(main.commands)
 
 
 def test_set_names_a_charger_with_a_space() -> None:
@@ -144,10 +170,48 @@ def test_files_and_commands_named_exist() -> None:
     for path in set(re.findall(r"(?:docs|tests)/[\w.-]+\.\w+", README)):
         assert (ROOT / path).is_file(), path
     for module in set(re.findall(r"python -m (benchmarks[\w.]*)", README)):
-        assert (ROOT / (module.replace(".", "/") + ".py")).is_file(), module
+        file = ROOT / (module.replace(".", "/") + ".py")
+        assert file.is_file() or (file.with_suffix("") / "__main__.py").is_file(), module
     pages = {p.name for p in (ROOT / "docs").glob("*.md")} - {"index.md"}
     listed = (ROOT / "docs" / "index.md").read_text(encoding="utf-8")
     assert pages == set(re.findall(r"\]\(([\w-]+\.md)\)", listed))
+
+
+# ---------------------------------------------------------------- figures of docs/relaxation.md
+
+
+@pytest.mark.parametrize("name", ["paper-400km", "goteborg-stockholm-winter"])
+def test_bounds_of_families_are_those_of_the_page(name: str) -> None:
+    trip = load_trip(name)
+    chargers = tuple(range(len(trip.chargers)))
+    family = make_instance(trip, (), undecided=chargers)
+    box = make_box(family)
+    together = relax_subset(family, limit_count(box, 2, 2)).lower_bound
+    alone = [
+        relax_subset(make_instance(trip, pair)).lower_bound for pair in combinations(chargers, 2)
+    ]
+    found = [together, min(bound for bound in alone if bound is not None)]
+    if name == "paper-400km":
+        found.insert(0, relax_subset(family).lower_bound)
+    (text,) = re.findall(
+        rf"`{name}` (?:\(`relax_subset`|the 28 pairs)(.*?)one by one", PROOFS, re.S
+    )
+    said = [float(number) for number in re.findall(r"\d+\.\d", text)]
+    assert found == pytest.approx(said, rel=1e-3)
+
+
+@pytest.mark.long  # the number depends on every choice of relax.tighten
+def test_programs_of_a_proof_are_those_of_the_page() -> None:
+    rows = re.findall(r"^\| `([\w-]+)`, (.+?) \| ([\d.]+) \| (\d+) \|", PROOFS, re.MULTILINE)
+    assert len(rows) == 4
+    for name, stops, cutoff, programs in rows:
+        trip = load_trip(name)
+        place = {c.name: trip.chargers.index(c) for c in trip.chargers}
+        done = prove(
+            make_instance(trip, tuple(place[s] for s in stops.split(" + "))), float(cutoff)
+        )
+        assert done.closed
+        assert done.programs == pytest.approx(float(programs), rel=0.1, abs=2)
 
 
 # ---------------------------------------------------------------- tables from benchmarks/results
