@@ -252,7 +252,8 @@ class _Search:
         again = []
         for done in left:
             node = self.nodes[done.leaf.subset]
-            if done.point is not None and node.starts < LEAF_STARTS and node.refined is not None:
+            promising = node.refined is not None and is_close(node.row.cost, self.cost)
+            if done.point is not None and promising and node.starts < LEAF_STARTS:
                 node = replace(node, point=done.point, starts=node.starts + 1)
                 self.nodes[done.leaf.subset] = node
                 again.append(node)

@@ -45,6 +45,8 @@ class Leaf:
     number, parent, part : int
         Its place in the evidence, that of the leaf it is a part of (-1: none), and
         which part.
+    halved : bool
+        An interval of its box has been cut.
     limit : float
         Least cutoff that shrank its box [currency]: what lies outside costs at least this,
         so no more is proved of the family. ``inf``: if the box is empty, it is infeasible.
@@ -58,6 +60,7 @@ class Leaf:
     number: int = -1
     parent: int = -1
     part: int = 0
+    halved: bool = False
     limit: float = inf
 
     def start(self, instance: Instance) -> Box:
@@ -148,7 +151,13 @@ def examine(
     instance = make(leaf.subset, leaf.undecided)
     box = leaf.start(instance)
     done = tighten(
-        instance, box, cutoff, bound=leaf.bound, fresh=leaf.box is None, deadline=deadline
+        instance,
+        box,
+        cutoff,
+        bound=leaf.bound,
+        fresh=leaf.box is None,
+        whole=not leaf.halved,
+        deadline=deadline,
     )
     parts: tuple[Leaf, ...] = ()
     shrunk = any(step.kind == "shrink" for step in done.steps)
@@ -207,6 +216,7 @@ def cut(instance: Instance, leaf: Leaf, box: Box, how: Branch) -> tuple[Leaf, ..
                 part.count,
                 part=int(not first),
                 limit=leaf.limit,
+                halved=leaf.halved or how.kind == "halve",
             )
         )
     return tuple(out)
