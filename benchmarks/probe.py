@@ -29,7 +29,11 @@ PARTS: Mapping[str, tuple[str, ...]] = {
         "relax.relaxed_point.unpack_point",
     ),
     "reach": ("relax.reach.make_box", "relax.reach.propagate"),
-    "solve": ("relax.solve.solve_cone", "relax.solve.solve_qp"),
+    "solve": (
+        "relax.solve.solve_cone",
+        "relax.solve.solve_qp",
+        "relax.solve.solve_objective",
+    ),
     "certify": ("relax.certify.certify_lower_bound", "relax.certify.certify_infeasible"),
     "refine": (
         "relax.starts.best_start",
@@ -113,6 +117,9 @@ class _Clarabel:
                 solution = solver.solve()
                 times.append(float(solution.solve_time))
                 return solution
+
+            def update(self, **changes: Any) -> None:
+                solver.update(**changes)
 
         return Reporting()
 

@@ -23,7 +23,7 @@ from relax.intervals import Interval
 from relax.proof import BoxProof, Closed, Step
 from relax.reach import make_box
 from relax.relaxed_point import RelaxedPoint, unpack_point
-from relax.solve import ConeSolver, SolveSettings, SolveStatus, solve_cone
+from relax.solve import ConeSolver, SolveSettings, SolveStatus, solve_cone, solve_objective
 
 __all__ = ["Proof", "Tightened", "prove", "tighten"]
 
@@ -133,7 +133,7 @@ class _Work:
                 continue
             program = proof.objective(target, sign)
             self._solver = self._solver or ConeSolver(program, SETTINGS)
-            found = self._solver.solve(program.q)
+            found = solve_objective(self._solver, program.q)
             self.programs, self.solve_s = self.programs + 1, self.solve_s + found.solve_s
             ray = found.status is SolveStatus.INFEASIBLE
             proof.apply(Step("shrink", found.z, ray, target, sign), program)
