@@ -628,7 +628,8 @@ def _audit_trip(audit: Audit, seed: int, effort: Effort) -> None:
         if row.outcome is Outcome.INFEASIBLE and isfinite(known.cost):
             audit.found("infeasible row with a plan", row.subset, f"cost {known.cost!r}")
         if row.outcome is Outcome.BOUNDED and isfinite(result.cost):
-            limit = min(result.transcribed_cost, result.cost - (gap or 0.0) * abs(result.cost))
+            closing = closing_cost(result.cost, gap or DEFAULT_GAP, result.transcribed_cost)
+            limit = min(result.transcribed_cost, closing)
             if row.lower_bound < limit - ROUNDING * max(abs(limit), 1.0):
                 audit.found("bounded below the plan", row.subset, f"{row.lower_bound}, {limit}")
     audit.bound("search bound", None, result.lower_bound, best)

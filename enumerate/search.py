@@ -251,9 +251,10 @@ class _Search:
         self._plan_new(e.leaf.subset for e in left)
         again = []
         for done in left:
-            node = self.nodes[done.leaf.subset]
-            promising = node.refined is not None and is_close(node.row.cost, self.cost)
-            if done.point is not None and promising and node.starts < LEAF_STARTS:
+            node = self.nodes.get(done.leaf.subset)  # none if time is up
+            if node is None or done.point is None or node.starts >= LEAF_STARTS:
+                continue
+            if node.refined is not None and is_close(node.row.cost, self.cost):
                 node = replace(node, point=done.point, starts=node.starts + 1)
                 self.nodes[done.leaf.subset] = node
                 again.append(node)
