@@ -45,6 +45,7 @@ import relax.proof as proof_steps
 import relax.tighten as tighten
 from benchmarks.random_trips import describe, random_trip
 from enumerate import Outcome, Result, Status, plan
+from enumerate.gap import DEFAULT_GAP, closing_cost
 from relax.bound import relax_subset
 from relax.box import Box
 from relax.certify import (
