@@ -254,7 +254,8 @@ class _Search:
             node = self.nodes.get(done.leaf.subset)  # none if time is up
             if node is None or done.point is None or node.starts >= LEAF_STARTS:
                 continue
-            if node.refined is not None and is_close(node.row.cost, self.cost):
+            # a subset without a plan may have one that other starts missed
+            if node.row.outcome is Outcome.UNPROVED or is_close(node.row.cost, self.cost):
                 node = replace(node, point=done.point, starts=node.starts + 1)
                 self.nodes[done.leaf.subset] = node
                 again.append(node)

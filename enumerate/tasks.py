@@ -18,7 +18,7 @@ from relax.plan import Controls
 from relax.proof import Step
 from relax.refinement import Refined, RefineSettings, best_of, refine
 from relax.relaxed_point import RelaxedPoint
-from relax.starts import best_start, relaxed_start, split_starts
+from relax.starts import best_start, even_start, relaxed_start, split_starts
 from relax.trip import Grid, Trip
 
 __all__ = [
@@ -108,9 +108,12 @@ def refine_node(setting: Setting, node: Node, starts: list[Controls] | None = No
     """Plan a subset from its relaxed point or from given starts; a better plan it has stays."""
     begin = time.perf_counter()
     instance = setting.instance(node.row.subset)
+    first = starts is None
     if starts is None:
         starts = [best_start(instance, node.point, node.row.lower_bound)]
     found = [refine(instance, start, setting.refine) for start in starts]
+    if first and not any(one.feasible for one in found):  # may miss a limit by a hair
+        found.append(refine(instance, even_start(instance), setting.refine))
     best = best_of([*([node.refined] if node.refined else []), *found], instance)
     row = replace(
         node.row,
