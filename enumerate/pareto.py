@@ -32,7 +32,7 @@ from enumerate.front_plans import (
 )
 from enumerate.gap import relative_gap
 from enumerate.pool import run_in_order
-from enumerate.search import MAX_CHARGERS, Progress
+from enumerate.search import Progress
 from enumerate.spread import improves, next_times, spread
 from enumerate.stretch import Stretch, make_stretches
 from enumerate.subset import Subset, all_subsets
@@ -47,6 +47,8 @@ __all__ = ["pareto"]
 T = TypeVar("T")
 R = TypeVar("R")
 
+MOST_CHARGERS = 10
+"""More chargers than this are refused: every one of the 2^N stop sets has a front of its own."""
 BATCH = 4
 """Times looked at before the front is updated; fixed, so that workers change nothing."""
 TRIES = 2
@@ -279,7 +281,7 @@ def pareto(
     Raises
     ------
     ValueError
-        More than 14 chargers, fewer than 2 points, a gap or a time that is not above 0,
+        More than 10 chargers, fewer than 2 points, a gap or a time that is not above 0,
         or an unknown measure.
 
     Examples
@@ -292,8 +294,8 @@ def pareto(
     True
     """
     begin = time.perf_counter()
-    if len(trip.chargers) > MAX_CHARGERS:
-        raise ValueError(f"at most {MAX_CHARGERS} chargers, not {len(trip.chargers)}")
+    if len(trip.chargers) > MOST_CHARGERS:
+        raise ValueError(f"at most {MOST_CHARGERS} chargers, not {len(trip.chargers)}")
     if points < 2:
         raise ValueError(f"at least 2 points, not {points}")
     for name, value in (("gap", gap), ("latest_h", latest_h)):

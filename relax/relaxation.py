@@ -3,7 +3,7 @@
 Chains the states and asks ``relaxation_drive`` and ``relaxation_stops`` for their
 rows. Each nonconvex term is replaced by its envelopes on the box, on both sides
 where a wrong value could pay off: a loss also heats, a heat pump also cools.
-Equation labels (R1) .. (R9) are those of ``docs/relaxation.md``. Knows nothing of solvers.
+Equation labels (R1) .. (R10) are those of ``docs/relaxation.md``. Knows nothing of solvers.
 """
 
 from __future__ import annotations

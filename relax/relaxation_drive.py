@@ -1,6 +1,6 @@
 """Owns the rows of the driving steps: balances, actuators, battery limits, losses.
 
-Equation labels (R1) .. (R9) are those of ``docs/relaxation.md``. Knows nothing
+Equation labels (R1) .. (R10) are those of ``docs/relaxation.md``. Knows nothing
 of charging and of solvers.
 """
 

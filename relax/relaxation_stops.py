@@ -1,6 +1,6 @@
 """Owns the rows of the charging cells: heat, grid energy, dwell, losses, and the cost.
 
-Equation labels (R1) .. (R9) are those of ``docs/relaxation.md``. Knows nothing
+Equation labels (R1) .. (R10) are those of ``docs/relaxation.md``. Knows nothing
 of driving and of solvers.
 """
 

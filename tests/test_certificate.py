@@ -211,9 +211,9 @@ def test_the_page_names_every_label_and_every_envelope_and_no_other() -> None:
     root = Path(__file__).parents[1]
     page = (root / "docs" / "relaxation.md").read_text(encoding="utf-8")
     code = "\n".join(f.read_text(encoding="utf-8") for f in (root / "relax").glob("*.py"))
-    label = r"\(([RC]\d)\)"
+    label = r"\(([RC]\d+)\)"
     assert set(re.findall(label, code)) == set(re.findall(label, page))
-    assert set(re.findall(label, page)) == {f"R{i}" for i in range(1, 10)} | {"C1", "C2"}
+    assert set(re.findall(label, page)) == {f"R{i}" for i in range(1, 11)} | {"C1", "C2"}
     envelopes = {*relax.envelopes.__all__, *relax.envelopes_charge.__all__}
     named = set(re.findall(r"envelope_\w+", page))
     assert named == {e for e in envelopes if e.startswith("envelope_")}

@@ -1,4 +1,5 @@
-"""The nonlinear reference: the same transcription as a smooth program, for IPOPT and FATROP.
+"""References to compare with: nonlinear programs, global solvers, dynamic programming, drivers.
 
-Locally optimal plans without any proof. Needs CasADi (the ``bench`` extra).
+The same transcription for IPOPT, FATROP and BONMIN (CasADi) and for SCIP (pyscipopt), of the
+``bench`` extra; dynamic programming and drivers with rules need numpy alone.
 """
