@@ -1,6 +1,6 @@
 """Owns the command that audits a file of proofs: options in, text and exit code out.
 
-``cli`` registers it; its helpers are imported when the command runs, like everything heavy.
+``cli`` registers it; what it needs is imported when the command runs, like everything heavy.
 Loads neither the search nor a solver.
 """
 

@@ -1,7 +1,7 @@
 """Owns the commands that run many plans: ``pareto`` and ``sweep``.
 
-Options in, tables and JSON out. ``cli`` registers them; its helpers are imported when a
-command runs, like everything heavy.
+Options in, tables and JSON out. ``cli`` registers them; what they need is
+imported when a command runs, like everything heavy.
 """
 
 from __future__ import annotations
