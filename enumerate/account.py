@@ -14,6 +14,7 @@ from math import inf
 
 from enumerate.evidence import ProofNode
 from enumerate.ledger import Outcome, Row
+from enumerate.stage_graph import StageGraph, StageStep
 from enumerate.subset import Subset
 from enumerate.tree import Examined, Leaf
 from relax.proof import Step
@@ -56,7 +57,9 @@ class Account:
     def __init__(self, n_chargers: int, keep_proofs: bool) -> None:
         self.n_chargers, self.keep_proofs = n_chargers, keep_proofs
         self.proofs: list[ProofNode] = []
-        self.programs = 0  # of leaves
+        self.programs = 0  # of leaves and stages
+        self.stages: tuple[StageStep, ...] = ()
+        self.stage_closing, self.stage_bound = inf, -inf
         self._open: list[tuple[float, int, Leaf]] = []
         self._families: dict[Key, _Family] = {}
         self._number = 0
@@ -66,9 +69,10 @@ class Account:
 
     @property
     def open_bound(self) -> float:
-        """Least bound of all leaves, open or not [currency]."""
+        """Least bound of all leaves, open or not, or that of all stages [currency]."""
         closed = [b for f in self._families.values() for b in f.bounds]
-        return min([*closed, *(entry[0] for entry in self._open[:1])], default=inf)
+        leaves = min([*closed, *(entry[0] for entry in self._open[:1])], default=inf)
+        return max(leaves, self.stage_bound)
 
     @property
     def progress(self) -> tuple[int, int]:
@@ -105,6 +109,8 @@ class Account:
         """
         out: list[Leaf] = []
         aside = []
+        if self.stage_bound >= cutoff:
+            return out
         while self._open and len(out) < most and self._open[0][0] < cutoff:
             entry = heapq.heappop(self._open)
             if cutoff == inf and not entry[2].undecided:
@@ -119,6 +125,13 @@ class Account:
         """Return leaves that were taken and not examined."""
         for leaf in leaves:
             heapq.heappush(self._open, (leaf.bound, leaf.number, leaf))
+
+    def enter_stages(self, graph: StageGraph, programs: int) -> None:
+        """Enter what a proof over stages bounds: every plan."""
+        self.programs += programs
+        self.stage_closing, self.stage_bound = graph.closing, graph.lower_bound
+        if self.keep_proofs:
+            self.stages = tuple(graph.steps)
 
     def enter(self, done: Examined, cutoff: float) -> None:
         """Enter what became of a leaf: its parts, or its last bound."""
@@ -198,7 +211,17 @@ class Account:
                     out.append(row)
             elif not inside:
                 out.append(row)
-        return [*rest.values(), *out]
+        return [self._with_stages(row, cutoff) for row in (*rest.values(), *out)]
+
+    def _with_stages(self, row: Row, cutoff: float) -> Row:
+        """Return a row with what stages bound."""
+        if row.lower_bound >= self.stage_bound:
+            return row
+        row = replace(row, lower_bound=self.stage_bound)
+        if row.outcome is Outcome.UNPROVED and self.stage_bound >= cutoff:
+            reason = "no chain of stages below the best one less the gap"
+            row = replace(row, outcome=Outcome.BOUNDED, reason=reason)
+        return row
 
 
 def _key(leaf: Leaf) -> Key:

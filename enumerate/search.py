@@ -26,6 +26,8 @@ from enumerate.gap import DEFAULT_GAP, closing_cost, is_close, is_closed, relati
 from enumerate.ledger import Ledger, Outcome, Row
 from enumerate.pool import run_in_order
 from enumerate.result import Result, Status
+from enumerate.stage_graph import StageGraph
+from enumerate.stage_search import StageSearch
 from enumerate.subset import Subset, all_subsets, neighbours
 from enumerate.tasks import (
     Node,
@@ -50,11 +52,21 @@ MAX_CHARGERS = 64
 FEW_CHARGERS = 4
 """Up to this many chargers every subset is relaxed by itself; with more, families are: 32
 relaxations of single subsets take longer than the families of five chargers."""
+STAGES_FROM = 9
+"""From this many chargers on, all plans together are bounded stage by stage first."""
+STALL = 100
+"""Paths without a gain of ``STALL_SHARE`` after which the rest is left to families."""
+STALL_SHARE = 0.05
+"""Share of what is missing that counts as a gain."""
+MOST_PATHS = 8
+"""Subsets planned because a path of stages used them."""
 MAX_PLANNED = 10
 """Up to this many chargers all subsets can be planned (``prune=False``)."""
 BATCH = 4
 """Subsets or leaves handled before the best plan is updated; fixed, so that any number of
 workers closes the same ones."""
+STAGE_NEAR = 0.03
+"""Share of the cost that is missing when paths of stages begin to be planned."""
 LEAF_STARTS = 2
 """Starts that a proof may add for one subset."""
 SAME = 1e-4
@@ -226,6 +238,8 @@ class _Search:
         """Cut and bound whatever could be cheaper than the driven plan by more than the gap."""
         if self.execution is None:
             return
+        if self.n_chargers >= STAGES_FROM and self.setting.trip.stop_time_h == inf:
+            self._prove_by_stages(gap)
         if self.single:
             self.account.plant(
                 Leaf(s, (), n.row.lower_bound, None, (len(s), len(s)))
@@ -233,15 +247,44 @@ class _Search:
                 if n.row.outcome is not Outcome.INFEASIBLE
             )
         while not self.interrupted and self.execution is not None:
-            done = self.execution
-            assert done.replay is not None  # plans that do not hold are refused
-            cutoff = closing_cost(done.replay.cost, gap, done.trajectory.cost)
-            examined = self._examine_batch(cutoff)
+            examined = self._examine_batch(self._cutoff(gap))
             if not examined:
                 return
             self._plan_leaves([e for e in examined if not e.leaf.undecided and not e.closed])
             if self.best is not None and self.best.refined is not self.tried:
                 self.drive()
+
+    def _cutoff(self, gap: float) -> float:
+        """Return the cost from which on a bound closes, for the driven plan."""
+        done = self.execution
+        assert done is not None and done.replay is not None  # plans that do not hold are refused
+        return closing_cost(done.replay.cost, gap, done.trajectory.cost)
+
+    def _prove_by_stages(self, gap: float) -> None:
+        """Bound all plans at once, stage by stage; plan what the cheapest paths use."""
+        family = self.setting.instance((), tuple(range(self.n_chargers)))
+        graph = StageGraph(family, self._cutoff(gap))
+        stages = StageSearch(graph, self.deadline)
+        try:
+            stages.prepare()
+            best, idle, planned = -inf, 0, 0
+            while not stages.late and graph.bound < self._cutoff(gap) and idle < STALL:
+                stages.advance()
+                missing = graph.closing - graph.bound
+                if graph.bound > best + STALL_SHARE * missing or best == -inf:
+                    best, idle = graph.bound, 0
+                idle += 1
+                self._tell("prove", stages.programs, stages.programs)
+                subset = tuple(sorted(family.stops[i].charger for i in stages.path))
+                close = missing < STAGE_NEAR * abs(graph.closing)
+                if close and subset not in self.nodes and planned < MOST_PATHS:
+                    planned += 1
+                    self._plan_new([subset])
+                    if self.best is not None and self.best.refined is not self.tried:
+                        self.drive()
+        finally:
+            self.account.enter_stages(graph, stages.programs)
+        self._look_at_clock()
 
     def _plan_leaves(self, left: list[Examined]) -> None:
         """Plan subsets that a proof met and could not close, and start again from what it knows.

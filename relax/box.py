@@ -6,7 +6,7 @@ Knows nothing of dynamics, programs and solvers.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -14,9 +14,25 @@ import numpy.typing as npt
 
 from relax.intervals import EMPTY_MARGIN, Interval
 
-__all__ = ["Box"]
+__all__ = ["Box", "Cell"]
 
 Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Cell:
+    """Intervals of the state at one place.
+
+    Parameters
+    ----------
+    energy : tuple of float
+        Least and largest internal energy [kWh].
+    temperature : tuple of float
+        Least and largest battery temperature [degrees C].
+    """
+
+    energy: tuple[float, float]
+    temperature: tuple[float, float]
 
 
 @dataclass(frozen=True)
@@ -166,3 +182,38 @@ class Box:
     def unusable(self) -> npt.NDArray[np.bool_]:
         """Optional stops that no feasible plan uses, shape (S,): an interval of theirs is empty."""
         return np.asarray(np.any([self.optional & x for x in self._unusable.values()], axis=0))
+
+    def with_start(self, cell: Cell) -> Box:
+        """Return the box met with a cell before its first step."""
+        first = np.arange(self.energy.lo.size) == 0
+        return replace(
+            self,
+            energy=_met(self.energy, first, cell.energy),
+            temperature=_met(self.temperature, first, cell.temperature),
+        )
+
+    def with_end(self, cell: Cell) -> Box:
+        """Return the box met with a cell after its last stop, or after its last step."""
+        if self.optional.size == 0:
+            last = np.arange(self.energy.lo.size) == self.energy.lo.size - 1
+            return replace(
+                self,
+                energy=_met(self.energy, last, cell.energy),
+                temperature=_met(self.temperature, last, cell.temperature),
+            )
+        stop = np.arange(self.optional.size) == self.optional.size - 1
+        border = np.zeros(self.stop_temperature.lo.shape, dtype=np.bool_)
+        border[-1, -1] = True
+        return replace(
+            self,
+            leave=_met(self.leave, stop, cell.energy),
+            stop_temperature=_met(self.stop_temperature, border, cell.temperature),
+        )
+
+
+def _met(x: Interval, at: npt.NDArray[np.bool_], limits: tuple[float, float]) -> Interval:
+    """Return the intervals, those of a mask met with limits."""
+    return Interval(
+        np.where(at, np.maximum(x.lo, limits[0]), x.lo),
+        np.where(at, np.minimum(x.hi, limits[1]), x.hi),
+    )

@@ -176,6 +176,8 @@ class Instance:
     total_dwell_h : float
         Most dwell of all stops together: what the trip's limit of charging and detour
         time leaves after the detours, below 0 if these alone exceed it [h].
+    free_start : bool
+        The car starts anywhere in the box's first interval: a stage of a longer trip.
     """
 
     vehicle: Vehicle
@@ -190,6 +192,7 @@ class Instance:
     temperature_min_c: float
     temperature_max_c: float
     total_dwell_h: float = math.inf
+    free_start: bool = False
 
     @property
     def ceiling_kwh(self) -> float:

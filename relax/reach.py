@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from relax.box import Box
+from relax.box import Box, Cell
 from relax.instance import MIN_CHARGE_KWH, Instance
 from relax.intervals import EMPTY_MARGIN, Interval, range1, range2
 from relax.physics import battery_power, heat_pump_power
@@ -380,13 +380,15 @@ def propagate(instance: Instance, box: Box) -> Box:
     )
 
 
-def make_box(instance: Instance) -> Box:
+def make_box(instance: Instance, start: Cell | None = None, end: Cell | None = None) -> Box:
     """Return the intervals that dynamics and limits alone imply.
 
     Parameters
     ----------
     instance : Instance
         Subset and grid.
+    start, end : Cell, optional
+        Where a stage starts and ends: before the first step, and after the last stop or step.
 
     Returns
     -------
@@ -402,12 +404,15 @@ def make_box(instance: Instance) -> Box:
     n, S, K = instance.drive.n_steps, len(instance.stops), instance.cells
     e_hi, w = instance.energy_max_kwh, MIN_CHARGE_KWH
     t_lo, t_hi = instance.temperature_min_c, instance.temperature_max_c
-    start, temp = instance.start_energy_kwh, instance.start_temperature_c
+    start_energy, temp = instance.start_energy_kwh, instance.start_temperature_c
     energy = Interval(instance.energy_min_kwh.copy(), np.full(n + 1, instance.ceiling_kwh))
-    energy.lo[0] = max(energy.lo[0], start)
-    energy.hi[0] = min(energy.hi[0], start)
+    energy.lo[0] = max(energy.lo[0], start_energy)
+    energy.hi[0] = min(energy.hi[0], start_energy)
     temperature = Interval(np.full(n + 1, t_lo), np.full(n + 1, t_hi))
     temperature.lo[0], temperature.hi[0] = max(t_lo, temp), min(t_hi, temp)
+    if start is not None:
+        energy.lo[0], energy.hi[0] = start.energy
+        temperature.lo[0], temperature.hi[0] = start.temperature
     least = np.array([s.arrive_min_kwh for s in instance.stops])
     leave = np.array([s.leave_min_kwh for s in instance.stops])
     # past an optional stop the limits of its node hold, at the end those of the end
@@ -433,6 +438,8 @@ def make_box(instance: Instance) -> Box:
         node=node,
         count=(S - int(instance.optional.sum()), S),
     )
+    if end is not None:
+        box = box.with_end(end)
     for _ in range(ROUNDS):
         if box.empty:
             break

@@ -64,8 +64,13 @@ def _add_states(model: Model) -> None:
     t_start[after] = t_after[box.step_stop[after]]
     v["start"], v["start_temperature"] = start, t_start
 
-    rows.equal("start energy", [instance.start_energy_kwh], (v["energy"][0], 1.0))
-    rows.equal("start temperature", [instance.start_temperature_c], (v["temperature"][0], 1.0))
+    if instance.free_start:
+        for name, x in (("energy", box.energy), ("temperature", box.temperature)):
+            rows.less(f"start {name} at most", x.hi[:1], (v[name][:1], 1.0))
+            rows.less(f"start {name} at least", -x.lo[:1], (v[name][:1], -1.0))
+    else:
+        rows.equal("start energy", [instance.start_energy_kwh], (v["energy"][0], 1.0))
+        rows.equal("start temperature", [instance.start_temperature_c], (v["temperature"][0], 1.0))
     d, power, first = instance.drive.duration_h, box.power, box.start_energy
     # only where the neighbouring node's bound and the least power do not imply them
     upper = np.append(False, box.energy.hi[1:] < first.hi - d * power.lo - 1e-7)
