@@ -160,8 +160,8 @@ def envelope_limit_over(power: Array, energy: Array, temp: Array) -> Array:
     cold, warm = _chord(p[:, :, 0], e), _chord(p[:, :, -1], e)
     s_e = np.stack([_chord(p[:, :, l_ // 2], e), warm, cold])
     s_t = np.stack([steep, flat, steep])
-    gap = p - (s_e[..., None] * e)[..., None] - (s_t[..., None] * t)[:, :, None, :]
-    return np.stack([s_e, s_t, _pad(gap.max(axis=(2, 3)), p.max(axis=(1, 2)))], axis=1)
+    gap = np.stack([_above(p, e, t, *s).max(axis=(1, 2)) for s in zip(s_e, s_t, strict=True)])
+    return np.stack([s_e, s_t, _pad(gap, p.max(axis=(1, 2)))], axis=1)
 
 
 def envelope_table_over(table: Table2, energy: Interval, temp: Interval) -> Array:
@@ -196,10 +196,17 @@ def _center(grid: ChargeGrid, at: Sequence[float]) -> tuple[Array, Array]:
     return np.broadcast_to(i, j.T.shape), j.T
 
 
-def _cell_corners(values: Array) -> Array:
-    """Corners (4, c, k - 1, l - 1) of values at nodes (c, k, l)."""
-    left, right = values[:, :, :-1], values[:, :, 1:]
-    return np.stack([left[:, :-1], left[:, 1:], right[:, :-1], right[:, 1:]])
+def _cell_corners(values: Array) -> list[Array]:
+    """Return views of the four corners, (c, k - 1, l - 1) each, of values at nodes (c, k, l)."""
+    cold, warm = values[:, :, :-1], values[:, :, 1:]
+    return [cold[:, :-1], cold[:, 1:], warm[:, :-1], warm[:, 1:]]
+
+
+def _above(values: Array, e: Array, t: Array, s_e: Array, s_t: Array) -> Array:
+    """Return values at points (c, k, l) less a plane in (E, T) with slopes (c,)."""
+    out = values - (s_e[:, None] * e)[:, :, None]
+    out -= (s_t[:, None] * t)[:, None, :]
+    return out
 
 
 def envelope_charge_time_under(
@@ -218,36 +225,59 @@ def envelope_charge_time_under(
         Where slopes are taken, as shares of the temperature interval; moved to
         the middle of a table cell, where the tangent above is exact.
     """
-    p = _cell_corners(np.maximum(grid.power, LEAST_POWER_KW))
     e, t = grid.energy, grid.temp
-    p_0 = p.mean(axis=0)
-    tau = 2.0 / p_0 - p / p_0**2
+    p = _cell_corners(np.maximum(grid.power, LEAST_POWER_KW))
+    inverse = 4.0 / (p[0] + p[1] + p[2] + p[3])
+    twice, square = 2.0 * inverse, inverse * inverse
+    tau = [twice - corner * square for corner in p]
     i, j = _center(grid, at)
     row = np.arange(e.shape[0])
-    d_e, d_t = np.diff(e, axis=1), np.diff(t, axis=1)
-    here = tau[:, row, i, j]
-    run_e, run_t = d_e[row, i], d_t[row, j]
+    run_e, run_t = np.diff(e, axis=1)[row, i], np.diff(t, axis=1)[row, j]
+    here = [corner[row, i, j] for corner in tau]
     s_e = 0.5 * (here[1] + here[3] - here[0] - here[2]) / np.where(run_e > 1e-9, run_e, np.inf)
     s_t = 0.5 * (here[2] + here[3] - here[0] - here[1]) / np.where(run_t > 1e-9, run_t, np.inf)
-    low = np.full(s_e.shape, np.inf)
-    for c, (a, b) in enumerate(((0, 0), (1, 0), (0, 1), (1, 1))):
-        e_c, t_c = e[:, a : e.shape[1] - 1 + a], t[:, b : t.shape[1] - 1 + b]
-        plane = (s_e[..., None] * e_c)[..., None] + (s_t[..., None] * t_c)[:, :, None, :]
-        low = np.minimum(low, (tau[c] - plane).min(axis=(2, 3)))
-    size = 1.0 / p_0[row, i, j]
+    # a node is a corner of up to four cells: the least of their tangents counts
+    least = np.full(grid.power.shape, np.inf)
+    for node, corner in zip(_cell_corners(least), tau, strict=True):
+        np.minimum(node, corner, out=node)
+    low = np.stack([_above(least, e, t, *s).min(axis=(1, 2)) for s in zip(s_e, s_t, strict=True)])
+    size = inverse[row, i, j]
     return np.stack([s_e, s_t, low - SAFETY * (size + np.abs(low))], axis=1)
 
 
-def _bernstein(p: Array, kappa: Array, R: Array) -> Array:
-    """Bernstein coefficients (3, 3, c, k - 1, l - 1) of p(E, T) * kappa(E) * R(T) per cell."""
-    r0, r1 = R[:, None, :-1], R[:, None, 1:]
-    cold, warm = p[:, :, :-1], p[:, :, 1:]
-    out = np.empty((3, 3, p.shape[0], p.shape[1] - 1, p.shape[2] - 1))
-    for b, in_t in enumerate((cold * r0, 0.5 * (cold * r1 + warm * r0), warm * r1)):
-        left, right = in_t[:, :-1], in_t[:, 1:]
-        k0, k1 = kappa[:, :-1, None], kappa[:, 1:, None]
-        out[0, b], out[1, b], out[2, b] = left * k0, 0.5 * (left * k1 + right * k0), right * k1
+def _between(values: Array) -> Array:
+    """Return nodes with the middles between them: (c, k) becomes (c, 2k - 1)."""
+    out = np.empty((values.shape[0], 2 * values.shape[1] - 1))
+    out[:, ::2], out[:, 1::2] = values, 0.5 * (values[:, :-1] + values[:, 1:])
     return out
+
+
+def _bernstein(p: Array, kappa: Array, R: Array) -> Array:
+    """Bernstein coefficients (c, 2k - 1, 2l - 1) of p(E, T) * kappa(E) * R(T).
+
+    Three by three per cell; neighbours share those on their border.
+    """
+    c, k, l_ = p.shape
+    in_t, out = np.empty((c, k, 2 * l_ - 1)), np.empty((c, 2 * k - 1, 2 * l_ - 1))
+    in_t[:, :, ::2] = p * R[:, None]
+    in_t[:, :, 1::2] = 0.5 * (p[:, :, :-1] * R[:, None, 1:] + p[:, :, 1:] * R[:, None, :-1])
+    left, right, k_0, k_1 = in_t[:, :-1], in_t[:, 1:], kappa[:, :-1, None], kappa[:, 1:, None]
+    out[:, ::2], out[:, 1::2] = in_t * kappa[..., None], 0.5 * (left * k_1 + right * k_0)
+    return out
+
+
+def _largest(tables: Sequence[Array]) -> Array:
+    """Largest value on each box of the least of functions with Bernstein coefficients, (c,).
+
+    On every cell each function is at most the largest of its nine coefficients.
+    """
+    if len(tables) == 1:
+        return np.asarray(tables[0].max(axis=(1, 2)))
+    cells = []
+    for table in tables:
+        part = np.maximum(np.maximum(table[:, :-2:2], table[:, 1::2]), table[:, 2::2])
+        cells.append(np.maximum(np.maximum(part[..., :-2:2], part[..., 1::2]), part[..., 2::2]))
+    return np.asarray(np.min(cells, axis=0).max(axis=(1, 2)))
 
 
 def envelope_stop_loss_over(
@@ -277,10 +307,14 @@ def envelope_stop_loss_over(
     families = [grid.power]
     if np.any(grid.grid_power.min(axis=1) < grid.power.max(axis=(1, 2))):
         families.append(np.broadcast_to(grid.grid_power[:, :, None], grid.power.shape))
-    rho = np.min(families, axis=0) * grid.inverse_square[:, :, None] * grid.resistance[:, None, :]
+    rho = (
+        np.minimum(families[0], families[-1])
+        * grid.inverse_square[:, :, None]
+        * grid.resistance[:, None, :]
+    )
     i, j = _center(grid, at)
     row = np.arange(e.shape[0])
-    corner = _cell_corners(rho)[:, row, i, j]
+    corner = [x[row, i, j] for x in _cell_corners(rho)]
     run_e, run_t = np.diff(e, axis=1)[row, i], np.diff(t, axis=1)[row, j]
     s_e = 0.5 * (corner[1] + corner[3] - corner[0] - corner[2])
     s_t = 0.5 * (corner[2] + corner[3] - corner[0] - corner[1])
@@ -288,22 +322,20 @@ def envelope_stop_loss_over(
     s_t = s_t / np.where(run_t > 1e-9, run_t, np.inf)
     s_e = np.concatenate([s_e, [_chord(rho.mean(axis=2), e)]])
     s_t = np.concatenate([s_t, [_chord(rho.mean(axis=1), t)]])
-    e_half = np.stack([e[:, :-1], 0.5 * (e[:, :-1] + e[:, 1:]), e[:, 1:]])
-    t_half = np.stack([t[:, :-1], 0.5 * (t[:, :-1] + t[:, 1:]), t[:, 1:]])
+    e_half, t_half = _between(e), _between(t)
     tables = [_bernstein(p, grid.inverse_square, grid.resistance) for p in families]
-    planes = []
-    for m in range(s_e.shape[0]):
-        part_e, part_t = s_e[m][:, None] * e_half, s_t[m][:, None] * t_half
-        plane = part_e[:, None, :, :, None] + part_t[None, :, :, None, :]
-        worst = np.min([(b - plane).max(axis=(0, 1)) for b in tables], axis=0)
-        planes.append(worst.max(axis=(1, 2)))
-    most = np.min([b.max(axis=(0, 1)) for b in tables], axis=0).max(axis=(1, 2))
+    offset = np.stack(
+        [
+            _largest([_above(b, e_half, t_half, *slopes) for b in tables])
+            for slopes in zip(s_e, s_t, strict=True)
+        ]
+    )
+    most = _largest(tables)
     least = (
         grid.resistance.min(axis=1)
         * grid.inverse_square.min(axis=1)
         * np.min([p.min(axis=(1, 2)) for p in families], axis=0)
     )
-    offset = np.stack(planes)
     offset += SAFETY * (1e-3 + np.abs(offset))
     return (
         np.stack([s_e, s_t, offset], axis=1),

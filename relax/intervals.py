@@ -143,9 +143,17 @@ def grid_values(table: Table2, x: Array, y: Array) -> Array:
     u = np.minimum(np.maximum((x - x0) / (table.x[i + 1] - x0), 0.0), 1.0)[:, :, None]
     v = np.minimum(np.maximum((y - y0) / (table.y[j + 1] - y0), 0.0), 1.0)[:, None, :]
     corner = i[:, :, None] * f.shape[1] + j[:, None, :]
-    flat = np.ravel(f)
-    low, high = flat[corner], flat[corner + 1]
-    below, above = flat[corner + f.shape[1]], flat[corner + f.shape[1] + 1]
-    low = low + u * (below - low)
-    high = high + u * (above - high)
-    return np.asarray(low + v * (high - low))
+    # four gathers cost more than all the rest: take is the quickest of them
+    low, high, below, above = (
+        np.take(f, corner + step, mode="clip") for step in (0, 1, f.shape[1], f.shape[1] + 1)
+    )
+    below -= low
+    below *= u
+    low += below
+    above -= high
+    above *= u
+    high += above
+    high -= low
+    high *= v
+    low += high
+    return np.asarray(low)
