@@ -163,6 +163,9 @@ class Table1:
         """
         grid, values, slope, _ = self._lists
         lo, hi = grid[0], grid[-1]
+        if len(slope) == 1:
+            first, last, steep = values[0], values[1], slope[0]
+            return lambda x: first if x <= lo else last if x >= hi else first + steep * (x - lo)
 
         def at(x: float) -> float:
             if x <= lo:

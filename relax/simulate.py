@@ -141,7 +141,8 @@ class Simulation:
 
     def _leg(self, walk: _Walk, controls: Controls, begin: int, end: int) -> None:
         """Drive from node to node."""
-        car, energy, temp, rise = self._car, walk.energy, walk.temp, 0.0
+        car, energy, temp = self._car, walk.energy, walk.temp
+        rise = extra = slope = 0.0
         least = self.instance.energy_min_kwh
         if begin == 0 and not walk.arrival:
             walk.arrival.append((energy, temp))
@@ -157,8 +158,9 @@ class Simulation:
         short = walk.short
         for row, heater, cooling, pump, low, cap in settings:
             walk.start.append((energy, temp))
-            result = drive_step(car, row, energy, temp, heater, cooling, pump, temp + rise, cap)
-            rise = result[0] - temp
+            guess = (rise, extra, slope)
+            result, slope = drive_step(car, row, energy, temp, heater, cooling, pump, guess, cap)
+            rise, extra = result[0] - temp, result[1] - row[1]
             energy, temp = energy - row[0] * result[1], result[0]
             if low - energy > short:
                 short = low - energy

@@ -25,8 +25,10 @@ POWER_TOLERANCE_KW = 1e-6
 the midpoint energy at which resistance and limits are read."""
 REFUSED_TOLERANCE_KW = 1e-10
 """Width at which the bisection of a refused recuperation ends [kW]."""
+NEARLY_SOLVED_K = 2e-8
+"""Likewise, if the equation's measured slope says that the end temperature's error is less [K]."""
 MAX_ITERATIONS = 20
-"""Secant steps of one implicit equation before it is bracketed; 3 to 5 are usual."""
+"""Secant steps of one implicit equation before it is bracketed; 2 to 4 are usual."""
 
 
 def _pump_power(heat_kw: float, cop: float, droop: float) -> float:
@@ -36,24 +38,31 @@ def _pump_power(heat_kw: float, cop: float, droop: float) -> float:
     return 2.0 * ratio / (1.0 + sqrt(root)) if root >= 0.0 else inf
 
 
-def _solve_implicit(phi: Callable[[float], float], guess: float) -> float:
+def _solve_implicit(
+    phi: Callable[[float], float], guess: float, slope: float = 0.0
+) -> tuple[float, float]:
     """Solve T' = phi(T') by secant steps, and by bracketing where those do not settle.
+
+    Returns the last value of phi, and its slope: a good first one for a similar equation.
 
     Raises
     ------
     DomainError
         No solution within 1000 K: the controls make no sense.
     """
-    x0 = guess
-    f0 = phi(x0) - x0
-    x1 = x0 + f0
+    x0, y0 = guess, phi(guess)
     for _ in range(MAX_ITERATIONS):
-        f1 = phi(x1) - x1
-        if abs(f1) <= TEMPERATURE_TOLERANCE_K:
-            return x1
-        slope = (f1 - f0) / (x1 - x0)
-        step = -f1 / slope if slope < -0.1 else f1
-        x0, f0, x1 = x1, f1, x1 + step
+        missed = y0 - x0
+        size = abs(missed)
+        # of the error of x0, phi(x0) keeps the share of its slope
+        if size <= TEMPERATURE_TOLERANCE_K or (
+            size <= NEARLY_SOLVED_K and abs(2.0 * slope) * size <= TEMPERATURE_TOLERANCE_K
+        ):
+            return y0, slope if abs(slope) < 0.5 else 0.0
+        x1 = x0 + (missed / (1.0 - slope) if slope < 0.9 else missed)
+        y1 = phi(x1)
+        slope = (y1 - y0) / (x1 - x0)
+        x0, y0 = x1, y1
     lo = hi = guess
     width = 1.0
     while phi(lo) < lo or phi(hi) > hi:
@@ -63,7 +72,7 @@ def _solve_implicit(phi: Callable[[float], float], guess: float) -> float:
     while hi - lo > TEMPERATURE_TOLERANCE_K:
         middle = 0.5 * (lo + hi)
         lo, hi = (middle, hi) if phi(middle) > middle else (lo, middle)
-    return 0.5 * (lo + hi)
+    return phi(0.5 * (lo + hi)), 0.0
 
 
 class Car:
@@ -139,9 +148,9 @@ def drive_step(
     heater_set: float,
     cooling_set: float,
     pump_set: float,
-    guess: float,
+    guess: tuple[float, float, float],
     cap: float,
-) -> StepResult:
+) -> tuple[StepResult, float]:
     """Advance one driving step.
 
     The heater is cut back where it would heat beyond ``cap``, cooling where it would
@@ -152,26 +161,31 @@ def drive_step(
     """
     d, base, ripple, q_ed, ambient, conductance, demand = row
     half_d, scale = 0.5 * d, d / car.capacity
-    power, moved = base, 0.0
+    heater_eff, actuators = car.heater_eff, car.actuators
+    resistance, voltage_squared = car.resistance, car.voltage_squared
+    rise, extra, slope = guess
+    power, moved = base + extra, 0.0
     out: StepResult = (0.0,) * 10
 
     def phi(end: float) -> float:
         nonlocal power, moved, out
         mid, before = 0.5 * (temp + end), power
-        heater, pump, heat, cabin = car.actuators(mid, demand, heater_set, pump_set)
-        e_mid = energy - half_d * power
-        r = car.resistance(mid) / car.voltage_squared(e_mid)
+        heater, pump, heat, cabin = actuators(mid, demand, heater_set, pump_set)
+        r = resistance(mid) / voltage_squared(energy - half_d * power)
         flow = q_ed - (heat - pump) + conductance * (ambient - mid)
         cooling = cooling_set
         if heater > 0.0 or cooling > 0.0:
             load = base + heater + cooling + pump + cabin
             end_free = temp + scale * (flow + r * (load * load + ripple))
-            heater = max(min(heater, (cap - end_free) / (scale * car.heater_eff)), 0.0)
+            most = (cap - end_free) / (scale * heater_eff)
+            if heater > most:
+                heater = most if most > 0.0 else 0.0
+        if cooling > 0.0:
             # cooling's own load would overstate the loss; so would power that goes into the
             # pack, which cooling lessens and the charge limit may refuse
             load = max(base + heater + pump + cabin, 0.0)
             end_free = temp + scale * (flow + r * (load * load + ripple))
-            spare = end_free + scale * car.heater_eff * heater - car.cooling_from
+            spare = end_free + scale * heater_eff * heater - car.cooling_from
             cooling = max(min(cooling, spare / (scale * car.cooling_cop)), 0.0)
             flow -= car.cooling_cop * cooling
         load = base + heater + cooling + pump + cabin
@@ -181,21 +195,21 @@ def drive_step(
         brake = 0.0
         if power < 0.0 and power < -car.charge_limit(energy - half_d * power, mid):
             power = _refused(car, energy, half_d, mid, power)
-            r = car.resistance(mid) / car.voltage_squared(energy - half_d * power)
+            r = resistance(mid) / voltage_squared(energy - half_d * power)
             brake = max(power - r * (power * power + ripple) - load, 0.0)
         moved = abs(power - before)
         loss = r * (power * power + ripple)
-        result = temp + scale * (flow + loss + car.heater_eff * heater)
+        result = temp + scale * (flow + loss + heater_eff * heater)
         out = (result, power, loss, brake, heater, pump, heat, cabin, cooling, 0.0)
         return result
 
-    end = _solve_implicit(phi, guess)
+    end, slope = _solve_implicit(phi, temp + rise, slope)
     for _ in range(MAX_ITERATIONS):  # the temperature may settle before the power does
         if moved <= POWER_TOLERANCE_KW:
             break
-        end = _solve_implicit(phi, end)
+        end, slope = _solve_implicit(phi, end, slope)
     over = out[1] - car.discharge_limit(energy - half_d * power, 0.5 * (temp + end))
-    return (end, *out[1:9], over)
+    return (*out[:9], over), slope
 
 
 def drive_rows(drive: Drive) -> list[tuple[float, ...]]:
@@ -237,7 +251,7 @@ def charge(
         controls.heat_pump_kw.tolist(),
         strict=True,
     )
-    rise = excess = 0.0
+    rise = excess = slope = 0.0
     for j, (power_set, heater_set, cooling_set, pump_set) in enumerate(settings):
         e_mid = energy + (j + 0.5) * e
         voltage_squared = car.voltage_squared(e_mid)
@@ -263,18 +277,24 @@ def charge(
             heater, pump, heat, cabin = car.actuators(mid, demand, heater_set, pump_set)
             r = car.resistance(mid) / voltage_squared
             limit = car.charge_limit(e_mid, mid)
-            power = min(power_set, limit)
             free = grid_max - base - cabin - pump - cooling_set
-            heater = max(min(heater, HEATER_SHARE * free), 0.0)
+            if heater > HEATER_SHARE * free:
+                heater = max(HEATER_SHARE * free, 0.0)
             room = max(free - heater, LEAST_ROOM_KW)
-            power = min(power, 2.0 * room / (1.0 + sqrt(1.0 + 4.0 * r * room)))
+            power = 2.0 * room / (1.0 + sqrt(1.0 + 4.0 * r * room))
+            if power > limit:
+                power = limit
+            if power > power_set:
+                power = power_set
             dwell = e / power
             loss = r * power * power
             flow = loss - (heat - pump) + stop.heat_loss_kw_per_k * (stop.ambient_c - mid)
             cooling = cooling_set
             if heater > 0.0 or cooling > 0.0:
                 rate = car.capacity / dwell
-                heater = max(min(heater, ((cap - start) * rate - flow) / car.heater_eff), 0.0)
+                most = ((cap - start) * rate - flow) / car.heater_eff
+                if heater > most:
+                    heater = most if most > 0.0 else 0.0
                 spare = flow + car.heater_eff * heater + (start - car.cooling_from) * rate
                 cooling = max(min(cooling, spare / car.cooling_cop), 0.0)
             flow += car.heater_eff * heater - car.cooling_cop * cooling
@@ -284,7 +304,7 @@ def charge(
             )  # fmt: skip
             return start + flow * dwell / car.capacity
 
-        end = _solve_implicit(phi, start + rise)
+        end, slope = _solve_implicit(phi, start + rise, slope)
         rise = end - start
         temps.append(end)
         excess = max(excess, row[2] / row[0] - grid_max)
