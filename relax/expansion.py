@@ -116,7 +116,10 @@ def _inside(instance: Instance, energy: Array, temp: Array) -> tuple[Array, Arra
     cop = instance.vehicle.heat_pump_cop
     t_lo = max(limit.y[0], pack.resistance_ohm.lo, pack.discharge_limit_kw.y[0], cop.lo)
     t_hi = min(limit.y[-1], pack.resistance_ohm.hi, pack.discharge_limit_kw.y[-1], cop.hi)
-    return np.clip(energy, e_lo, e_hi), np.clip(temp, t_lo, t_hi)
+    return (
+        np.minimum(np.maximum(energy, e_lo), e_hi),
+        np.minimum(np.maximum(temp, t_lo), t_hi),
+    )
 
 
 def expand_drive(instance: Instance, trajectory: Trajectory) -> DriveExpansion:
@@ -155,8 +158,8 @@ def expand_drive(instance: Instance, trajectory: Trajectory) -> DriveExpansion:
     return DriveExpansion(
         loss,
         heat,
-        vehicle.pack.discharge_limit_kw.jet(energy, temp)[:3],
-        vehicle.pack.charge_limit_kw.jet(energy, temp)[:3],
+        vehicle.pack.discharge_limit_kw.tangent(energy, temp),
+        vehicle.pack.charge_limit_kw.tangent(energy, temp),
     )
 
 
@@ -269,15 +272,13 @@ def _kink(e: Array, limit: Array, near: Array) -> Term:
 def _to_stop_variables(term: Term, cells: int) -> Term:
     """Change variables from (e, E) of a cell to (W, E_arrive) of its stop.
 
-    e = W / K and E = E_arrive + (j + 1/2) W / K.
+    e = W / K and E = E_arrive + (j + 1/2) W / K: only what W changes differs.
     """
-    j = np.arange(term.value.size) % cells
-    change = np.zeros((term.value.size, 5, 5))
-    change[:, [1, 2, 3, 4], [1, 2, 3, 4]] = 1.0
-    change[:, 0, 0] = 1.0 / cells
-    change[:, 3, 0] = (j + 0.5) / cells
-    gradient = np.einsum("mab,ma->mb", change, term.gradient)
-    hessian = np.swapaxes(change, 1, 2) @ term.hessian @ change
+    share = (np.arange(term.value.size) % cells + 0.5)[:, None] / cells
+    gradient, hessian = term.gradient.copy(), term.hessian.copy()
+    gradient[:, 0] = gradient[:, 0] / cells + share[:, 0] * gradient[:, 3]
+    hessian[:, 0] = hessian[:, 0] / cells + share * hessian[:, 3]
+    hessian[:, :, 0] = hessian[:, :, 0] / cells + share * hessian[:, :, 3]
     return Term(term.value, gradient, hessian)
 
 

@@ -8,6 +8,7 @@ nothing of what rows and columns mean.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -39,15 +40,17 @@ class Pattern:
 
     def __init__(self, rows: Index, cols: Index, shape: tuple[int, int]) -> None:
         key, self._slot = np.unique(cols * shape[0] + rows, return_inverse=True)
-        self._indices = (key % shape[0]).astype(np.int32)
+        indices = (key % shape[0]).astype(np.int32)
         counts = np.bincount(key // shape[0], minlength=shape[1])
-        self._indptr = np.concatenate([[0], np.cumsum(counts)]).astype(np.int32)
-        self._shape = shape
+        indptr = np.concatenate([[0], np.cumsum(counts)]).astype(np.int32)
+        self._empty = sparse.csc_array((np.zeros(key.size), indices, indptr), shape=shape)
+        self.size, self.shape = rows.size, shape
 
     def matrix(self, values: Array) -> sparse.csc_array:
         """Return the matrix with these values, shape (m,); explicit zeros are kept."""
-        data = np.bincount(self._slot, values, self._indices.size)
-        return sparse.csc_array((data, self._indices, self._indptr), shape=self._shape)
+        matrix = copy(self._empty)  # shares the pattern, which is checked once
+        matrix.data = np.bincount(self._slot, values, matrix.nnz)
+        return matrix
 
 
 @dataclass(frozen=True)
@@ -94,12 +97,12 @@ class RowBlocks:
         KeyError
             A block has no values: nothing is left out silently.
         """
-        data: list[Array] = []
-        sides: list[Array] = []
+        data, sides = np.empty(self.pattern.size), np.empty(self.pattern.shape[0])
+        end = 0
         for name, columns in self.columns.items():
             coefficients, side = values[name]
-            size = columns[0].size
-            for _, value in zip(columns, coefficients, strict=True):
-                data.append(np.broadcast_to(value, (size,)))
-            sides.append(np.broadcast_to(side, (size,)))
-        return self.pattern.matrix(np.concatenate(data)), np.concatenate(sides)
+            sides[self.slices[name]] = side
+            for column, value in zip(columns, coefficients, strict=True):
+                begin, end = end, end + column.size
+                data[begin:end] = value
+        return self.pattern.matrix(data), sides
