@@ -5,12 +5,12 @@ Knows nothing of how it was driven.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["Replay", "ReplayStop", "Violation"]
+__all__ = ["Arrival", "Replay", "ReplayStop", "Violation"]
 
 Array = npt.NDArray[np.float64]
 
@@ -73,6 +73,22 @@ class ReplayStop:
 
 
 @dataclass(frozen=True)
+class Arrival:
+    """Where a drive stands on arrival at a stop, before the detour in.
+
+    Parameters
+    ----------
+    state : tuple of float
+        Integrated state.
+    violations : tuple of Violation
+        Limits broken by then.
+    """
+
+    state: tuple[float, ...]
+    violations: tuple[Violation, ...]
+
+
+@dataclass(frozen=True)
 class Replay:
     """A driven plan.
 
@@ -94,6 +110,10 @@ class Replay:
         What the sums of electrical and of thermal energies miss; rounding only.
     violations : tuple of Violation
         Broken limits; empty: the plan is feasible.
+    targets_kwh : tuple of float
+        Internal energy at which charging was to end, one per stop [kWh].
+    arrivals : tuple of Arrival
+        One per stop.
     """
 
     cost: float
@@ -109,6 +129,8 @@ class Replay:
     balance_kwh: float
     heat_balance_kwh: float
     violations: tuple[Violation, ...]
+    targets_kwh: tuple[float, ...] = ()
+    arrivals: tuple[Arrival, ...] = field(default=(), repr=False)
 
     @property
     def feasible(self) -> bool:

@@ -79,7 +79,7 @@ def _drive(trip: Trip, instance: Instance, refined: Refined) -> tuple[tuple[floa
         if max(abs(a - b) for a, b in zip(before, targets, strict=True)) <= TARGET_TOLERANCE_KWH:
             targets = before  # those that were driven
             break
-        driven = replay(trip, instance, refined.controls, tuple(targets))
+        driven = replay(trip, instance, refined.controls, tuple(targets), driven)
     return tuple(targets), driven
 
 

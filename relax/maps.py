@@ -64,7 +64,7 @@ def _locate(grid: Array, x: Array, name: str) -> tuple[npt.NDArray[np.intp], Arr
 
 
 def _window(x: Array, half: float, lo: float, hi: float) -> Array:
-    """Return points with both ends of the window around them, inside the domain, shape (3, *x.shape)."""
+    """Return points and the ends of the window around them, shape (3, *x.shape)."""
     return np.stack([x, np.maximum(x - half, lo), np.minimum(x + half, hi)])
 
 
@@ -165,7 +165,7 @@ class Table1:
             raise DomainError(
                 f"{self.name}: {x:g} is outside the table {grid[0]:g} .. {grid[-1]:g}"
             )
-        i = min(max(bisect_right(grid, x) - 1, 0), len(slope) - 1)
+        i = bisect_right(grid, x, 1, len(slope)) - 1
         return values[i] + slope[i] * (x - grid[i])
 
     def clamped(self) -> Callable[[float], float]:
@@ -292,8 +292,7 @@ class Table2:
                 f"{self.name}: ({x:g}, {y:g}) is outside the table "
                 f"{xs[0]:g} .. {xs[-1]:g}, {ys[0]:g} .. {ys[-1]:g}"
             )
-        i = min(max(bisect_right(xs, x) - 1, 0), len(xs) - 2)
-        j = min(max(bisect_right(ys, y) - 1, 0), len(ys) - 2)
+        i, j = bisect_right(xs, x, 1, len(xs) - 1) - 1, bisect_right(ys, y, 1, len(ys) - 1) - 1
         u = (x - xs[i]) / (xs[i + 1] - xs[i])
         v = (y - ys[j]) / (ys[j + 1] - ys[j])
         left, right = f[i], f[i + 1]

@@ -9,13 +9,14 @@ program. The only source of reported costs.
 
 from __future__ import annotations
 
+import dataclasses
 from math import sqrt
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
-from relax.driven import Replay, ReplayStop, Violation
+from relax.driven import Arrival, Replay, ReplayStop, Violation
 from relax.errors import DomainError
 from relax.instance import HEATER_SHARE, LEAST_ROOM_KW, Instance, Stop
 from relax.plan import Controls, StopControls
@@ -138,13 +139,30 @@ class _Driver:
         self.grid_excess_kw = 0.0
         self._ode = ode
 
+    @property
+    def here(self) -> tuple[float, float]:
+        """Energy and temperature."""
+        return self.state[ENERGY], self.state[TEMPERATURE]
+
+    @property
+    def arrival(self) -> Arrival:
+        """All there is to know to go on from here."""
+        return Arrival(tuple(self.state), tuple(self.violations.values()))
+
+    def resume(self, arrival: Arrival) -> None:
+        """Go on from an arrival."""
+        self.state = list(arrival.state)
+        self.violations = {v.rule: v for v in arrival.violations}
+
     def integrate(self, rates: Callable[[float, Any], list[float]], span: float) -> None:
         """Advance the state over a span of the independent variable."""
         failed: list[DomainError] = []
 
         def guarded(t: float, y: Any) -> list[float]:
+            if failed:
+                return [0.0] * len(y)
             try:  # an exception must not cross the integrator's compiled code
-                return rates(t, y) if not failed else [0.0] * len(y)
+                return rates(t, y.tolist())  # plain floats: a third of the time
             except DomainError as error:
                 failed.append(error)
                 return [0.0] * len(y)
@@ -313,7 +331,11 @@ class _Driver:
 
 
 def replay(
-    trip: Trip, instance: Instance, controls: Controls, targets_kwh: tuple[float, ...]
+    trip: Trip,
+    instance: Instance,
+    controls: Controls,
+    targets_kwh: tuple[float, ...],
+    before: Replay | None = None,
 ) -> Replay:
     """Drive a plan on the continuous model and check every limit.
 
@@ -327,6 +349,9 @@ def replay(
         Schedules of heater, cooling and heat pump; planned charging powers.
     targets_kwh : tuple of float
         Internal energy at which charging ends, one per stop [kWh].
+    before : Replay, optional
+        A drive of the same controls: up to the first stop with another target it is
+        taken from there.
 
     Returns
     -------
@@ -358,26 +383,42 @@ def replay(
     hours = np.diff(borders) / route.speed_kmh[sample]
     least = trip.vehicle.pack.energy_kwh(trip.soc_min(borders))
     node = {float(km): k for k, km in enumerate(drive.node_km)}
-    states: list[list[float]] = []
-    nodes: list[list[float]] = []
+    states: list[tuple[float, float]] = []
+    nodes: list[tuple[float, float]] = []
     stops: list[ReplayStop] = []
-    cost, k, brake, step_start = 0.0, -1, 0.0, (0.0, 0.0)
+    arrivals: list[Arrival] = []
+    resumed = -1
+    if before is not None and before.arrivals:
+        same = [a == b for a, b in zip(before.targets_kwh, targets_kwh, strict=True)]
+        m = [*same[:-1], False].index(False)
+        stop = instance.stops[m]
+        resumed = int(np.searchsorted(borders, drive.node_km[stop.node]))
+        states = _pairs(before.energy_kwh, before.temperature_c, resumed + 1)
+        nodes = _pairs(before.node_energy_kwh, before.node_temperature_c, stop.node + 1)
+        stops, arrivals = list(before.stops[:m]), list(before.arrivals[:m])
+        driver.resume(before.arrivals[m])
+    k, brake, step_start = -1, 0.0, (0.0, 0.0)
     for i, km in enumerate(borders.tolist()):
-        states.append(list(driver.state))
-        short = float(least[i]) - driver.state[ENERGY]
-        driver.note("energy below the least on the way", km, short, "kWh", SHORTFALL_KWH)
-        driver.check_temperature(km)
-        driver.check_full(km, instance.ceiling_kwh)
+        if i < resumed:
+            continue
+        if i > resumed:
+            states.append(driver.here)
+            short = float(least[i]) - driver.state[ENERGY]
+            driver.note("energy below the least on the way", km, short, "kWh", SHORTFALL_KWH)
+            driver.check_temperature(km)
+            driver.check_full(km, instance.ceiling_kwh)
         if km in node:
             if k >= 0:
                 _check_power(driver, k, step_start, km)
-            nodes.append(list(driver.state))
+            if i > resumed:
+                nodes.append(driver.here)
             k = node[km]
             while len(stops) < len(instance.stops) and instance.stops[len(stops)].node == k:
                 m = len(stops)
-                done = driver.charge(instance.stops[m], controls.stops[m], targets_kwh[m], km)
-                cost += done.cost
-                stops.append(done)
+                arrivals.append(driver.arrival)
+                stops.append(
+                    driver.charge(instance.stops[m], controls.stops[m], targets_kwh[m], km)
+                )
             if k < drive.n_steps:
                 setting = (
                     float(controls.heater_kw[k]),
@@ -385,7 +426,7 @@ def replay(
                     float(controls.heat_pump_kw[k]),
                 )
                 brake = driver.brake(k, *setting)
-                step_start = (driver.state[ENERGY], driver.state[TEMPERATURE])
+                step_start = driver.here
         if i < hours.size:
             assert k == step[i]
             driver.drive_sample(int(sample[i]), float(hours[i]), setting, brake)
@@ -393,7 +434,13 @@ def replay(
     driver.note("energy below the least at the end", route.length_km, short, "kWh", SHORTFALL_KWH)
     over = sum(s.dwell_h for s in stops) - instance.total_dwell_h if stops else 0.0
     driver.note(RULE_STOP_TIME, route.length_km, over, "h", EXCESS_H)
-    return _report(driver, cost, stops, borders, np.array(states), np.array(nodes))
+    done = _report(driver, stops, borders, np.array(states), np.array(nodes))
+    return dataclasses.replace(done, targets_kwh=tuple(targets_kwh), arrivals=tuple(arrivals))
+
+
+def _pairs(energy: Array, temp: Array, count: int) -> list[tuple[float, float]]:
+    """Return the first states of a drive."""
+    return list(zip(energy[:count].tolist(), temp[:count].tolist(), strict=True))
 
 
 def _check_power(driver: _Driver, k: int, start: tuple[float, float], km: float) -> None:
@@ -406,7 +453,6 @@ def _check_power(driver: _Driver, k: int, start: tuple[float, float], km: float)
 
 def _report(
     driver: _Driver,
-    cost: float,
     stops: list[ReplayStop],
     borders: Array,
     states: Array,
@@ -427,7 +473,7 @@ def _report(
         + state[AMBIENT]
     )
     return Replay(
-        cost=cost,
+        cost=sum(s.cost for s in stops),
         stops=tuple(stops),
         position_km=borders,
         energy_kwh=states[:, ENERGY],

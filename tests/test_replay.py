@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -452,3 +452,33 @@ def test_the_transcription_is_near_the_replay(name: str) -> None:
     assert np.abs(soc).max() < 0.001
     assert np.abs(temp).max() < 0.5
     assert driven.cost == pytest.approx(plan.trajectory.cost, rel=0.002)
+
+
+@pytest.mark.parametrize(
+    ("subset", "shifts"), [((0, 2), (0.0, 1.5)), ((0, 1, 2), (-0.7, 0.0, 0.3))]
+)
+def test_a_drive_goes_on_from_an_earlier_one(
+    subset: tuple[int, ...], shifts: tuple[float, ...]
+) -> None:
+    """With other targets, in the middle or at the last stop: the same as driven from the start."""
+    trip = PAPER
+    instance = make_instance(trip, subset)
+    controls = idle_controls(instance, (20.0,) * len(subset))
+    targets = tuple(float(s.energy_kwh[-1]) for s in simulate(instance, controls).stops)
+    changed = tuple(a + b for a, b in zip(targets, shifts, strict=True))
+    before = replay(trip, instance, controls, targets)
+    fresh = replay(trip, instance, controls, changed)
+    assert before.violations != fresh.violations or not fresh.violations
+    resumed = replay(trip, instance, controls, changed, before)
+    again = replay(trip, instance, controls, targets, resumed)
+    for got, wanted in ((resumed, fresh), (again, before)):
+        for field in fields(wanted):
+            a, b = getattr(got, field.name), getattr(wanted, field.name)
+            if field.name == "stops":
+                for stop, same in zip(a, b, strict=True):
+                    for name, value in vars(same).items():
+                        np.testing.assert_array_equal(getattr(stop, name), value, err_msg=name)
+            elif isinstance(b, np.ndarray):
+                np.testing.assert_array_equal(a, b, err_msg=field.name)
+            else:
+                assert a == b, field.name
