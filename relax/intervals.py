@@ -56,8 +56,10 @@ class Interval:
 
     def outward(self) -> Interval:
         """Return the interval widened by rounding; ends that crossed by rounding are swapped."""
-        crossed = (self.lo > self.hi) & (self.lo <= self.hi + EMPTY_MARGIN)
-        lo, hi = np.where(crossed, self.hi, self.lo), np.where(crossed, self.lo, self.hi)
+        lo, hi = self.lo, self.hi
+        crossed = (lo > hi) & (lo <= hi + EMPTY_MARGIN)
+        if crossed.any():
+            lo, hi = np.where(crossed, hi, lo), np.where(crossed, lo, hi)
         return Interval(lo - OUTWARD * (1.0 + np.abs(lo)), hi + OUTWARD * (1.0 + np.abs(hi)))
 
 
@@ -66,11 +68,6 @@ def _points(grid: Array, values_monotone: bool, lo: Array, hi: Array) -> Array:
     if values_monotone:
         return np.stack([lo, hi], axis=-1)
     return np.clip(grid, lo[..., None], hi[..., None])
-
-
-def _monotone(f: Array, axis: int) -> bool:
-    step = np.diff(f, axis=axis)
-    return bool(np.all(step >= 0.0) or np.all(step <= 0.0))
 
 
 def range1(table: Table1, x: Interval) -> Interval:
@@ -89,7 +86,10 @@ def range1(table: Table1, x: Interval) -> Interval:
     >>> found.lo.tolist(), found.hi.tolist()
     ([1.0], [3.0])
     """
-    values = np.interp(_points(table.x, _monotone(table.f, 0), x.lo, x.hi), table.x, table.f)
+    if table.monotone:
+        ends = np.interp(x.lo, table.x, table.f), np.interp(x.hi, table.x, table.f)
+        return Interval(np.minimum(*ends), np.maximum(*ends))
+    values = np.interp(_points(table.x, False, x.lo, x.hi), table.x, table.f)
     return Interval(values.min(axis=-1), values.max(axis=-1))
 
 
@@ -112,8 +112,8 @@ def range2(table: Table2, x: Interval, y: Interval) -> Interval:
     >>> range2(table, half, half).hi.tolist()
     [1.5]
     """
-    px = _points(table.x, _monotone(table.f, 0), x.lo, x.hi)
-    py = _points(table.y, _monotone(table.f, 1), y.lo, y.hi)
+    by_x, by_y = table.monotone
+    px, py = _points(table.x, by_x, x.lo, x.hi), _points(table.y, by_y, y.lo, y.hi)
     values = grid_values(table, px, py)
     return Interval(values.min(axis=(-1, -2)), values.max(axis=(-1, -2)))
 

@@ -47,6 +47,12 @@ def _slopes(x: Array, f: Array, axis: int = 0) -> Array:
     return np.moveaxis(out, 0, axis)
 
 
+def _monotone(f: Array, axis: int) -> bool:
+    """Whether values never fall or never rise along an axis."""
+    step = np.diff(f, axis=axis)
+    return bool((step >= 0.0).all() or (step <= 0.0).all())
+
+
 def _locate(grid: Array, x: Array, name: str) -> tuple[npt.NDArray[np.intp], Array]:
     """Cell index and weight in [0, 1] of every point; raises off the domain."""
     if x.size:
@@ -138,6 +144,11 @@ class Table1:
     def hi(self) -> float:
         """Upper end of the domain."""
         return float(self.x[-1])
+
+    @cached_property
+    def monotone(self) -> bool:
+        """Whether the table never falls or never rises."""
+        return _monotone(self.f, 0)
 
     @cached_property
     def _lists(self) -> tuple[list[float], list[float], list[float], float]:
@@ -254,6 +265,11 @@ class Table2:
         values.setflags(write=False)
         object.__setattr__(self, "f", values)
         object.__setattr__(self, "name", name)
+
+    @cached_property
+    def monotone(self) -> tuple[bool, bool]:
+        """Whether the table never falls or never rises along x, and along y."""
+        return _monotone(self.f, 0), _monotone(self.f, 1)
 
     @cached_property
     def _lists(self) -> tuple[list[float], list[float], list[list[float]], float, float]:

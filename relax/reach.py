@@ -219,7 +219,7 @@ def _temperatures(
     after = Interval(box.after_temperature.lo.copy(), box.after_temperature.hi.copy())
     usable = ~box.unusable
     t0, t1 = float(node.lo[0]), float(node.hi[0])
-    drifts = [_stop_drift(instance, box, i, cell_power[i]) for i in range(len(stops))]
+    drifts = _stop_drifts(instance, box, cell_power)
     for i in range(len(stops) + 1):
         a, b = borders[i], borders[i + 1]
         if b > a:
@@ -318,26 +318,29 @@ class _Steps:
         return t0, t1
 
 
-def _stop_drift(instance: Instance, box: Box, i: int, cell_power: Array) -> tuple[float, float]:
-    """Largest fall and rise within a stop, beside cooling and the exchange with ambient [K]."""
-    stop, vehicle = instance.stops[i], instance.vehicle
+def _stop_drifts(instance: Instance, box: Box, cell_power: Array) -> list[tuple[float, float]]:
+    """Largest fall and rise within every stop, beside cooling and exchange with ambient [K]."""
+    stops, vehicle = instance.stops, instance.vehicle
+    if not stops:
+        return []
     pack, capacity = vehicle.pack, vehicle.pack.heat_capacity_kwh_per_k
-    longest = float(box.stay.hi[i])
-    if 0.5 * stop.heat_loss_kw_per_k * longest >= capacity:  # then a cell may overshoot ambient
-        return np.inf, np.inf
-    temp = Interval(box.cell_temperature.lo[i], box.cell_temperature.hi[i])
-    energy = Interval(
-        np.array([box.arrive.lo[i]]), np.array([box.leave.hi[i] + stop.detour_out_kwh])
-    )
+    temp, out = box.cell_temperature, np.array([s.detour_out_kwh for s in stops])
+    energy = Interval(box.arrive.lo, box.leave.hi + out)
     cop = range1(vehicle.heat_pump_cop, temp)
-    q = np.full(temp.lo.shape, stop.cabin_heat_kw)
+    q = np.empty(temp.lo.shape)
+    q[...] = np.array([s.cabin_heat_kw for s in stops])[:, None]
     pump, _, drawn = pump_limits(instance, q, cop)
     gain = np.minimum(0.0, cop.lo * (1.0 - vehicle.heat_pump_droop_per_kw * pump) - 1.0)
-    r = range1(pack.resistance_ohm, temp).hi / range1(pack.voltage_squared, energy).lo
-    loss = float((r * cell_power).sum()) * float(box.charge.hi[i]) / instance.cells
-    fall = float(drawn.max()) * longest
-    warm = vehicle.heater_battery_efficiency * vehicle.heater_kw - float((gain * pump).min())
-    return fall / capacity, (loss + max(warm, 0.0) * longest) / capacity
+    r = range1(pack.resistance_ohm, temp).hi / range1(pack.voltage_squared, energy).lo[:, None]
+    loss = (r * cell_power).sum(axis=1) * box.charge.hi / instance.cells
+    longest = box.stay.hi
+    fall = drawn.max(axis=1) * longest
+    warm = vehicle.heater_battery_efficiency * vehicle.heater_kw - (gain * pump).min(axis=1)
+    rise = loss + np.maximum(warm, 0.0) * longest
+    # where the exchange is too fast a cell may overshoot ambient
+    slow = np.array([0.5 * s.heat_loss_kw_per_k for s in stops]) * longest < capacity
+    fall, rise = np.where(slow, fall / capacity, np.inf), np.where(slow, rise / capacity, np.inf)
+    return list(zip(fall.tolist(), rise.tolist(), strict=True))
 
 
 def propagate(instance: Instance, box: Box) -> Box:
