@@ -62,15 +62,12 @@ def nodes(table: Table1, x: Interval, kinks: str = "all") -> Array:
     >>> nodes(table, Interval(np.array([0.5]), np.array([1.5])), "convex").tolist()
     [[0.5, 1.5]]
     """
-    slope = np.diff(table.f) / np.diff(table.x)
-    bend = np.diff(slope)
-    inner = table.x[1:-1]
-    if kinks == "concave":
-        inner = inner[bend < 0.0]
-    elif kinks == "convex":
-        inner = inner[bend > 0.0]
+    inner = table.kinks[kinks]
     inner = inner[(inner > x.lo.min(initial=np.inf)) & (inner < x.hi.max(initial=-np.inf))]
-    return np.column_stack([x.lo, np.clip(inner, x.lo[:, None], x.hi[:, None]), x.hi])
+    out = np.empty((x.lo.size, inner.size + 2))
+    out[:, 0], out[:, -1] = x.lo, x.hi
+    np.minimum(np.maximum(inner, x.lo[:, None]), x.hi[:, None], out=out[:, 1:-1])
+    return out
 
 
 def _at(table: Table1, x: Array) -> Array:
@@ -85,9 +82,8 @@ def _ratio(rise: Array, run: Array) -> Array:
 
 def _steepness(table: Table1, x: Array) -> Array:
     """Slope of the table's segment at points."""
-    slope = np.diff(table.f) / np.diff(table.x)
-    i = np.clip(np.searchsorted(table.x, x, side="right") - 1, 0, slope.size - 1)
-    return np.asarray(slope[i])
+    i = np.searchsorted(table.x[1:-1], x, side="right")
+    return np.asarray(table.slopes[i])
 
 
 def _raise(offset: Array, size: Array) -> Array:

@@ -375,13 +375,12 @@ def envelope_stop_loss_under(
     t = nodes(resistance, temp, "convex")
     r = np.maximum(np.interp(t, resistance.x, resistance.f), 0.0) / square_hi[:, None]
     t0 = temp.lo + np.array(at)[:, None] * temp.width
-    slope = np.diff(resistance.f) / np.diff(resistance.x)
-    i = np.clip(np.searchsorted(resistance.x, t0, side="right") - 1, 0, slope.size - 1)
+    steepness = resistance.slopes[np.searchsorted(resistance.x[1:-1], t0, side="right")]
     r0 = np.maximum(np.interp(t0, resistance.x, resistance.f), 0.0) / square_hi
     out = []
     for e0 in (energy.mid, energy.hi):
         s_e, s_y = 2.0 * r0 * power, -r0 * power**2
-        s_t = slope[i] / square_hi * e0 * power
+        s_t = steepness / square_hi * e0 * power
         theta = np.sqrt(-s_y[..., None] / np.maximum(r, 1e-12))
         coefficient = 2.0 * r * theta - s_e[..., None]
         spare = np.minimum(-r * theta**2 - s_y[..., None], 0.0)

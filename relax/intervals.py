@@ -137,8 +137,8 @@ def grid_values(table: Table2, x: Array, y: Array) -> Array:
     [[[1.0, 2.0]]]
     """
     f = table.f
-    i = np.minimum(np.maximum(np.searchsorted(table.x, x, side="right") - 1, 0), f.shape[0] - 2)
-    j = np.minimum(np.maximum(np.searchsorted(table.y, y, side="right") - 1, 0), f.shape[1] - 2)
+    i = np.searchsorted(table.x[1:-1], x, side="right")
+    j = np.searchsorted(table.y[1:-1], y, side="right")
     x0, y0 = table.x[i], table.y[j]
     u = np.minimum(np.maximum((x - x0) / (table.x[i + 1] - x0), 0.0), 1.0)[:, :, None]
     v = np.minimum(np.maximum((y - y0) / (table.y[j + 1] - y0), 0.0), 1.0)[:, None, :]

@@ -62,8 +62,7 @@ def _locate(grid: Array, x: Array, name: str) -> tuple[npt.NDArray[np.intp], Arr
             raise DomainError(
                 f"{name}: {lo:g} .. {hi:g} is outside the table {grid[0]:g} .. {grid[-1]:g}"
             )
-    index = np.searchsorted(grid, x, side="right") - 1
-    index = np.minimum(np.maximum(index, 0), grid.size - 2)
+    index = np.searchsorted(grid[1:-1], x, side="right")
     left = grid[index]
     weight = (x - left) / (grid[index + 1] - left)
     return index, np.minimum(np.maximum(weight, 0.0), 1.0)
@@ -151,10 +150,20 @@ class Table1:
         return _monotone(self.f, 0)
 
     @cached_property
+    def slopes(self) -> Array:
+        """Slope between every two nodes, shape (n - 1,)."""
+        return np.diff(self.f) / np.diff(self.x)
+
+    @cached_property
+    def kinks(self) -> dict[str, Array]:
+        """Inner nodes: ``all``, and those where the slope falls (``concave``) or rises."""
+        inner, bend = self.x[1:-1], np.diff(self.slopes)
+        return {"all": inner, "concave": inner[bend < 0.0], "convex": inner[bend > 0.0]}
+
+    @cached_property
     def _lists(self) -> tuple[list[float], list[float], list[float], float]:
-        slope = np.diff(self.f) / np.diff(self.x)
         slack = DOMAIN_SLACK * (self.hi - self.lo)
-        return self.x.tolist(), self.f.tolist(), slope.tolist(), slack
+        return self.x.tolist(), self.f.tolist(), self.slopes.tolist(), slack
 
     @cached_property
     def _curvature(self) -> Array:

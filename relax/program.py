@@ -265,7 +265,9 @@ class Assembly:
         offset = np.concatenate([[0], np.cumsum(counts)])
         m = int(offset[-1])
         scale = np.concatenate(self._scale)
-        row = np.concatenate([r + offset[k] for k in range(3) for r in self._row[k]])
+        row = np.concatenate(
+            [np.concatenate(r) + begin for r, begin in zip(self._row, offset[:3], strict=True) if r]
+        )
         col = np.concatenate([c for k in range(3) for c in self._col[k]])
         val = np.concatenate([v for k in range(3) for v in self._val[k]])
         b = np.concatenate([r for k in range(3) for r in self._rhs[k]])
