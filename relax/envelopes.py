@@ -34,6 +34,8 @@ Array = npt.NDArray[np.float64]
 
 SAFETY = 1e-9
 """Share of the term's size added to every offset: covers the rounding of the offset itself."""
+STRAIGHT = 1e-13
+"""A droop below this bends the heat by less than SAFETY, and its stationary point is rounding."""
 FLAT = 1e-9
 """Box widths below this count as zero when a slope is chosen (never for an offset)."""
 
@@ -263,17 +265,16 @@ def envelope_pump_heat_over(cop: Table1, droop: float, power: Interval, temp: In
     zero = np.zeros_like(top)
     s_h = np.stack([c_hi, c_lo * (1.0 - 2.0 * droop * top)])
     s_t = np.stack([zero, full * _ratio(c[:, -1] - c[:, 0], temp.width)])
-    hp = np.broadcast_to(power.hi[:, None], (2, *c.shape))
-    if droop > 0.0:
-        hp = (1.0 - s_h[..., None] / np.maximum(c, 1e-12)) / (2.0 * droop)
-        hp = np.clip(hp, power.lo[:, None], power.hi[:, None])
-    ends = np.stack(
-        [
-            c * x * (1.0 - droop * x) - s_h[..., None] * x - s_t[..., None] * t
-            for x in (hp, np.broadcast_to(power.lo[:, None], hp.shape), power.hi[:, None])
-        ]
-    )
-    return np.stack([s_h, s_t, _raise(ends.max(axis=(0, 3)), c_hi * top)], axis=1)
+    # affine in hp: largest at an end; else at the stationary point, or at the end next to it
+    most: list[Array] = [power.lo[:, None], power.hi[:, None]]
+    if droop > STRAIGHT:
+        best = (1.0 - s_h[..., None] / np.maximum(c, 1e-12)) / (2.0 * droop)
+        most = [np.minimum(np.maximum(best, power.lo[:, None]), power.hi[:, None])]
+    gaps = [
+        (c * x * (1.0 - droop * x) - s_h[..., None] * x - s_t[..., None] * t).max(axis=2)
+        for x in most
+    ]
+    return np.stack([s_h, s_t, _raise(np.max(gaps, axis=0), c_hi * top)], axis=1)
 
 
 def envelope_pump_heat_under(
@@ -357,10 +358,11 @@ def envelope_pump_power_under(
     c_lo = c.min(axis=1, keepdims=True)
     s_h = np.broadcast_to((1.0 / (c_lo * (1.0 - 2.0 * droop * inverse(q / c_lo)))).T, s_t.shape)
     cap = inverse(q / c)
-    points = [np.zeros_like(cap)[None], cap[None]]
-    if droop > 0.0:
+    # affine in hp: least at an end; else at the stationary point, or at the end next to it
+    points = [np.zeros_like(cap), cap]
+    if droop > STRAIGHT:
         best = (1.0 - 1.0 / (s_h[..., None] * c)) / (2.0 * droop)
-        points.append(np.clip(best, 0.0, cap))
+        points = [np.minimum(np.maximum(best, 0.0), cap)]
     low = np.min(
         [
             (x - s_h[..., None] * c * x * (1.0 - droop * x) - s_t[..., None] * t).min(axis=2)
