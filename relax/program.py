@@ -12,7 +12,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -26,14 +25,28 @@ Term = tuple[npt.ArrayLike, npt.ArrayLike]
 """Columns and coefficients of one term, broadcast over the rows; column -1: no such variable."""
 
 
-def _spread(values: npt.ArrayLike, shape: tuple[int, ...], kind: Any) -> npt.NDArray[Any]:
-    """Broadcast to a shape and flatten; quicker than ``np.broadcast_to`` on small arrays."""
-    array: npt.NDArray[Any] = np.asarray(values, dtype=kind)
-    if array.shape == shape:
-        return array.ravel()
-    out: npt.NDArray[Any] = np.empty(shape, dtype=kind)
-    out[...] = array
-    return out.ravel()
+class _Entries:
+    """Entries of one block of rows, collected in arrays that grow."""
+
+    def __init__(self) -> None:
+        self.count, self.room = 0, 1024
+        self.row, self.column = np.empty(self.room, np.int64), np.empty(self.room, np.int64)
+        self.value = np.empty(self.room)
+
+    def add(self, row: Index, columns: npt.ArrayLike, values: npt.ArrayLike) -> None:
+        """Add one term of rows of any shape; columns and values are broadcast to it."""
+        begin, end = self.count, self.count + row.size
+        while end > self.room:
+            self.room *= 2
+            self.row, self.column = (
+                np.resize(self.row, self.room),
+                np.resize(self.column, self.room),
+            )
+            self.value = np.resize(self.value, self.room)
+        self.row[begin:end] = row.ravel()
+        self.column[begin:end].reshape(row.shape)[...] = columns
+        self.value[begin:end].reshape(row.shape)[...] = values
+        self.count = end
 
 
 @dataclass(frozen=True)
@@ -137,9 +150,7 @@ class Assembly:
         self._lo: list[Array] = []
         self._hi: list[Array] = []
         # one list per block: zero, nonnegative, second-order
-        self._row: tuple[list[Index], ...] = ([], [], [])
-        self._col: tuple[list[Index], ...] = ([], [], [])
-        self._val: tuple[list[Array], ...] = ([], [], [])
+        self._entries = (_Entries(), _Entries(), _Entries())
         self._rhs: tuple[list[Array], ...] = ([], [], [])
         self._count = [0, 0, 0]
         self._names: list[tuple[str, int, int, int]] = []
@@ -182,12 +193,6 @@ class Assembly:
         """Give existing columns a further name, to be read back from a point."""
         self._index[name] = columns
 
-    def _terms(self, block: int, row: Index, shape: tuple[int, ...], terms: Sequence[Term]) -> None:
-        for columns, values in terms:
-            self._row[block].append(row)
-            self._col[block].append(_spread(columns, shape, np.int64))
-            self._val[block].append(_spread(values, shape, np.float64))
-
     def _linear(
         self, block: int, name: str, rhs: npt.ArrayLike, terms: Sequence[Term], unit: Index | None
     ) -> None:
@@ -195,14 +200,15 @@ class Assembly:
         if b.size == 0:
             return
         if unit is not None and (unit >= 0).any():
-            columns = np.broadcast_to(unit, b.shape)
-            terms = [*terms, (columns, -b)]
-            b = np.where(columns >= 0, 0.0, b)
+            terms = [*terms, (unit, -b)]
+            b = np.where(unit >= 0, 0.0, b)
         begin = self._count[block]
         self._count[block] += b.size
         self._names.append((name, block, begin, b.size))
         self._rhs[block].append(b.ravel())
-        self._terms(block, np.arange(begin, begin + b.size), b.shape, terms)
+        row = np.arange(begin, begin + b.size).reshape(b.shape)
+        for columns, values in terms:
+            self._entries[block].add(row, columns, values)
 
     def equal(self, name: str, rhs: npt.ArrayLike, *terms: Term, unit: Index | None = None) -> None:
         """Add rows sum of terms = rhs * unit.
@@ -248,7 +254,8 @@ class Assembly:
                 terms = [*terms, (unit, constants[:, i].copy())]
                 constants[unit >= 0, i] = 0.0
             row = begin + i + size * np.arange(k)
-            self._terms(2, row, (k,), [(c, -np.asarray(v, dtype=np.float64)) for c, v in terms])
+            for columns, values in terms:
+                self._entries[2].add(row, columns, -np.asarray(values, dtype=np.float64))
         self._rhs[2].append(constants.ravel())
 
     def build(self, cost: Mapping[str, npt.ArrayLike], constant: float = 0.0) -> ConeProgram:
@@ -266,10 +273,10 @@ class Assembly:
         m = int(offset[-1])
         scale = np.concatenate(self._scale)
         row = np.concatenate(
-            [np.concatenate(r) + begin for r, begin in zip(self._row, offset[:3], strict=True) if r]
+            [e.row[: e.count] + begin for e, begin in zip(self._entries, offset[:3], strict=True)]
         )
-        col = np.concatenate([c for k in range(3) for c in self._col[k]])
-        val = np.concatenate([v for k in range(3) for v in self._val[k]])
+        col = np.concatenate([e.column[: e.count] for e in self._entries])
+        val = np.concatenate([e.value[: e.count] for e in self._entries])
         b = np.concatenate([r for k in range(3) for r in self._rhs[k]])
         keep = (col >= 0) & (val != 0.0)
         row, col, val = row[keep], col[keep], val[keep]
