@@ -56,10 +56,13 @@ def pump_limits(instance: Instance, demand: Array, cop: Interval) -> tuple[Array
     return power, heat, drawn
 
 
-def _least(start: float, cap: Array, used: Array) -> Array:
-    """x_0 = start, x_{k+1} = min(cap_k, x_k - used_k), without a loop."""
-    total = np.concatenate([[0.0], np.cumsum(used)])
-    return np.asarray(np.minimum.accumulate(np.concatenate([[start], cap + total[1:]])) - total)
+def _least(start: Array, cap: Array, used: Array) -> Array:
+    """x_0 = start, x_{k+1} = min(cap_k, x_k - used_k), without a loop; several in rows."""
+    total = np.zeros((used.shape[0], used.shape[1] + 1))
+    np.cumsum(used, axis=1, out=total[:, 1:])
+    out = np.empty_like(total)
+    out[:, 0], out[:, 1:] = start, cap + total[:, 1:]
+    return np.asarray(np.minimum.accumulate(out, axis=1) - total)
 
 
 def _drive_flow(instance: Instance, box: Box) -> tuple[Interval, Interval]:
@@ -133,25 +136,22 @@ def _energies(instance: Instance, box: Box, power: Interval, charge_hi: Array) -
     arrive = Interval(box.arrive.lo.copy(), box.arrive.hi.copy())
     leave = Interval(box.leave.lo.copy(), box.leave.hi.copy())
     charge = Interval(box.charge.lo.copy(), np.minimum(box.charge.hi, charge_hi))
-    used_lo, used_hi = drive.duration_h * power.lo, drive.duration_h * power.hi
+    # both ends in one array: the lower one with its sign turned, so that each is a least
+    ends = np.stack([-energy.lo, energy.hi])
+    used = drive.duration_h * np.stack([-power.hi, power.lo])
     after = Interval(box.after.lo.copy(), box.after.hi.copy())
     usable = ~box.unusable
     # segment i: its start (after stop i - 1), then the arrivals at nodes a + 1 .. b
-    segments: list[Interval] = []
+    segments: list[Array] = []
     for i in range(len(stops) + 1):
         a, b = borders[i], borders[i + 1]
-        first = Interval(energy.lo[:1], energy.hi[:1])
-        if i:
-            first = Interval(after.lo[i - 1 : i], after.hi[i - 1 : i])
-        lo = np.concatenate([first.lo, energy.lo[a + 1 : b + 1]])
-        hi = np.concatenate([first.hi, energy.hi[a + 1 : b + 1]])
-        lo = -_least(-lo[0], -lo[1:], -used_hi[a:b])
-        hi = _least(hi[0], hi[1:], used_lo[a:b])
-        segments.append(Interval(lo, hi))
+        first = np.array([-after.lo[i - 1], after.hi[i - 1]]) if i else ends[:, 0]
+        segments.append(_least(first, ends[:, a + 1 : b + 1], used[:, a:b]))
+        last_lo, last_hi = -float(segments[i][0, -1]), float(segments[i][1, -1])
         if i < len(stops):
             stop = stops[i]
-            arrive.lo[i] = max(arrive.lo[i], lo[-1] - stop.detour_in_kwh)
-            arrive.hi[i] = min(arrive.hi[i], hi[-1] - stop.detour_in_kwh)
+            arrive.lo[i] = max(arrive.lo[i], last_lo - stop.detour_in_kwh)
+            arrive.hi[i] = min(arrive.hi[i], last_hi - stop.detour_in_kwh)
             charge.hi[i] = min(charge.hi[i], instance.energy_max_kwh - arrive.lo[i])
             out = stop.detour_out_kwh
             leave.lo[i] = max(leave.lo[i], arrive.lo[i] + charge.lo[i] - out)
@@ -159,32 +159,31 @@ def _energies(instance: Instance, box: Box, power: Interval, charge_hi: Array) -
             low, high = leave.lo[i], leave.hi[i]
             if stop.optional:
                 usable[i] &= all(x.lo[i] <= x.hi[i] + EMPTY_MARGIN for x in (arrive, charge, leave))
-                low = min(low, lo[-1]) if usable[i] else lo[-1]
-                high = max(high, hi[-1]) if usable[i] else hi[-1]
+                low = min(low, last_lo) if usable[i] else last_lo
+                high = max(high, last_hi) if usable[i] else last_hi
             after.lo[i], after.hi[i] = max(after.lo[i], low), min(after.hi[i], high)
     for i in range(len(stops), -1, -1):
         a, b = borders[i], borders[i + 1]
-        lo, hi = segments[i].lo, segments[i].hi
-        lo = -_least(-lo[-1], -lo[-2::-1], used_lo[a:b][::-1])[::-1]
-        hi = _least(hi[-1], hi[-2::-1], -used_hi[a:b][::-1])[::-1]
-        energy.lo[a + 1 : b + 1], energy.hi[a + 1 : b + 1] = lo[1:], hi[1:]
+        caps = segments[i][:, ::-1]
+        ends = _least(caps[:, 0], caps[:, 1:], used[::-1, a:b][:, ::-1])[:, ::-1]
+        energy.lo[a + 1 : b + 1], energy.hi[a + 1 : b + 1] = -ends[0, 1:], ends[1, 1:]
+        first_lo, first_hi = -float(ends[0, 0]), float(ends[1, 0])
         if i == 0:
-            energy.lo[0], energy.hi[0] = lo[0], hi[0]
+            energy.lo[0], energy.hi[0] = first_lo, first_hi
             break
         j, stop = i - 1, stops[i - 1]
-        after.lo[j], after.hi[j] = max(after.lo[j], lo[0]), min(after.hi[j], hi[0])
+        after.lo[j], after.hi[j] = max(after.lo[j], first_lo), min(after.hi[j], first_hi)
         leave.lo[j], leave.hi[j] = max(leave.lo[j], after.lo[j]), min(leave.hi[j], after.hi[j])
         full_lo, full_hi = leave.lo[j] + stop.detour_out_kwh, leave.hi[j] + stop.detour_out_kwh
         charge.lo[j] = max(charge.lo[j], full_lo - arrive.hi[j])
         charge.hi[j] = min(charge.hi[j], full_hi - arrive.lo[j])
         arrive.lo[j] = max(arrive.lo[j], full_lo - charge.hi[j])
         arrive.hi[j] = min(arrive.hi[j], full_hi - charge.lo[j])
-        before = segments[j]
         low, high = arrive.lo[j] + stop.detour_in_kwh, arrive.hi[j] + stop.detour_in_kwh
         if stop.optional:
             low = min(low, after.lo[j]) if usable[j] else after.lo[j]
             high = max(high, after.hi[j]) if usable[j] else after.hi[j]
-        before.lo[-1], before.hi[-1] = max(before.lo[-1], low), min(before.hi[-1], high)
+        segments[j][:, -1] = np.minimum(segments[j][:, -1], [-low, high])
     return {
         "energy": energy.outward(),
         "arrive": arrive.outward(),

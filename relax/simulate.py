@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from itertools import chain
 from math import inf
 
 import numpy as np
@@ -196,7 +197,7 @@ class Simulation:
     def _trajectory(self, walk: _Walk, controls: Controls) -> Trajectory:
         instance = self.instance
         arrive, begin = np.array(walk.arrival), np.array(walk.start)
-        table = np.array(walk.rows)
+        table = np.array(list(chain.from_iterable(walk.rows))).reshape(len(walk.rows), -1)
         peak = max([arrive[:, 1].max(), *(s.temperature_c.max() for s in walk.stops)])
         low = min([arrive[:, 1].min(), *(s.temperature_c.min() for s in walk.stops)])
         stopped = sum(float(s.dwell_h.sum()) for s in walk.stops)

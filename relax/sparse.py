@@ -75,15 +75,15 @@ class RowBlocks:
     def make(cls, blocks: Sequence[tuple[str, tuple[Index, ...]]], n_columns: int) -> RowBlocks:
         """Stack blocks in the order given; every block lists one column array per coefficient."""
         slices: dict[str, slice] = {}
-        rows, cols = [], []
+        rows: list[Index] = []
+        cols: list[Index] = []
         start = 0
         for name, columns in blocks:
-            size = columns[0].size
-            slices[name] = slice(start, start + size)
-            for column in columns:
-                rows.append(np.arange(start, start + size))
-                cols.append(column.astype(np.intp))
-            start += size
+            stop = start + columns[0].size
+            slices[name] = slice(start, stop)
+            rows += [np.arange(start, stop)] * len(columns)
+            cols += columns
+            start = stop
         pattern = Pattern(np.concatenate(rows), np.concatenate(cols), (start, n_columns))
         return cls(slices, dict(blocks), pattern)
 
