@@ -129,7 +129,7 @@ class Account:
     def enter_stages(self, graph: StageGraph, programs: int) -> None:
         """Enter what a proof over stages bounds: every plan."""
         self.programs += programs
-        self.stage_closing, self.stage_bound = graph.closing, graph.lower_bound
+        self.stage_closing, self.stage_bound = graph.given, graph.lower_bound
         if self.keep_proofs:
             self.stages = tuple(graph.steps)
 

@@ -1,8 +1,9 @@
 """Owns the audit: whether a file of proofs holds for a trip, without any solver.
 
-Four questions: do the rows account for every subset once, does every proof hold, does
-each row and the printed bound follow from the proofs, and does the plan cost what is
-said. Imports neither solver nor search; what it takes on trust is in ``docs/audit.md``.
+Four questions: do the rows account for every subset once, does every proof hold (over
+trees and over stages), does each row and the printed bound follow from the proofs, and
+does the plan cost what is said. Imports neither solver nor search; what it takes on
+trust is in ``docs/audit.md``.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
+from enumerate.audit_stages import StageRecheck, recheck_stages
 from enumerate.audit_tree import Family, Recheck, exceeds
 from enumerate.evidence import DrivenPlan, Evidence
 from enumerate.evidence_file import fingerprint, load_proofs
@@ -63,6 +65,8 @@ class Audit:
         What no plan undercuts, by the proofs alone [currency].
     seconds : float
         Time taken [s].
+    stage_steps : int
+        Steps over stages done again.
 
     Examples
     --------
@@ -81,6 +85,7 @@ class Audit:
     cost: float
     lower_bound: float
     seconds: float
+    stage_steps: int = 0
 
     @property
     def holds(self) -> bool:
@@ -94,12 +99,14 @@ class Audit:
 
     def __str__(self) -> str:
         verdict = "every claim holds" if self.holds else f"{len(self.failures)} claims fail"
+        stages = f"{self.stage_steps} steps over stages, " if self.stage_steps else ""
         lines = [
             paragraph("audit", f"{self.trip}: {verdict}."),
             paragraph(
                 "checked",
                 f"{self.subsets} choices of stops in {self.rows} rows, {self.nodes} boxes rebuilt, "
-                f"{self.programs} programs certified, in {number(self.seconds, 2)} s; no solver.",
+                f"{stages}{self.programs} programs certified, "
+                f"in {number(self.seconds, 2)} s; no solver.",
             ),
         ]
         if self.lower_bound < inf:
@@ -129,7 +136,7 @@ def audit(
     trip : Trip
         The trip it should be of.
     progress : callable, optional
-        Called with the number of boxes done and of all.
+        Called with the number of boxes and steps over stages done, and of all.
 
     Returns
     -------
@@ -172,7 +179,7 @@ def audit_evidence(
     trip : Trip
         The trip.
     progress : callable, optional
-        Called with the number of boxes done and of all.
+        Called with the number of boxes and steps over stages done, and of all.
     """
     begin = time.perf_counter()
     drive = make_drive(trip, evidence.grid.step_km)
@@ -181,12 +188,22 @@ def audit_evidence(
         return make_instance(trip, subset, evidence.grid, drive, undecided)
 
     proofs = Recheck(make, len(trip.chargers))
-    proofs.run(evidence.nodes, progress)
-    failures = list(proofs.failures)
+    total = len(evidence.nodes) + (0 if evidence.stages is None else len(evidence.stages.steps))
+
+    def tell(done: int) -> None:
+        if progress is not None:
+            progress(done, total)
+
+    proofs.run(evidence.nodes, lambda done, _: tell(done))
+    stages = StageRecheck()
+    if evidence.stages is not None:
+        family = make((), tuple(range(len(trip.chargers))))
+        stages = recheck_stages(family, evidence.stages, lambda done: tell(proofs.nodes + done))
+    failures = [*proofs.failures, *stages.failures]
     accounted = _accounted(evidence)
     failures += accounted
-    found = _bounds(evidence, proofs, failures)
-    bound = -inf if accounted else min(found, default=-inf)
+    found = _bounds(evidence, proofs, stages, failures)
+    bound = stages.bound if accounted else min(found, default=-inf)
     cost = inf
     if evidence.driven is not None:
         try:
@@ -201,10 +218,11 @@ def audit_evidence(
         subsets=2**evidence.n_chargers,
         rows=len(evidence.rows),
         nodes=proofs.nodes,
-        programs=proofs.programs,
+        programs=proofs.programs + stages.programs,
         cost=cost,
         lower_bound=bound,
         seconds=time.perf_counter() - begin,
+        stage_steps=stages.steps,
     )
 
 
@@ -230,15 +248,20 @@ def _name(row: Row) -> str:
     return f"row of the chargers {row.subset}{maybe}"
 
 
-def _bounds(evidence: Evidence, proofs: Recheck, failures: list[str]) -> list[float]:
-    """Return what is proved of every row, and note the rows that claim more."""
+def _bounds(
+    evidence: Evidence, proofs: Recheck, stages: StageRecheck, failures: list[str]
+) -> list[float]:
+    """Return what is proved of every row, and note the rows that claim more.
+
+    What stages bound holds for every plan, and so for every row.
+    """
     out = []
     asked = DEFAULT_GAP if evidence.asked_gap is None else evidence.asked_gap
     limit = closing_cost(evidence.cost, asked, evidence.transcribed)
     for row in evidence.rows:
         fixed, most = len(row.subset), len(row.subset) + len(row.undecided)
         count = (row.count or (fixed, most)) if row.undecided else (fixed, fixed)
-        bound = proofs.bound(Family(row.subset, row.undecided, count))
+        bound = max(proofs.bound(Family(row.subset, row.undecided, count)), stages.bound)
         out.append(bound)
         if row.outcome is Outcome.INFEASIBLE and bound < inf:
             failures.append(

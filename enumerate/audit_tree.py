@@ -16,9 +16,10 @@ from math import inf, isfinite
 import numpy as np
 
 from enumerate.evidence import ProofNode
+from enumerate.quantity import is_quantity
 from enumerate.subset import Subset
 from relax.box import Box
-from relax.branch import Branch, Target, branch, decide
+from relax.branch import Branch, branch, decide
 from relax.instance import Instance
 from relax.intervals import Interval
 from relax.proof import BoxProof, Closed, Step
@@ -29,11 +30,6 @@ __all__ = ["Family", "Recheck", "exceeds"]
 TOLERANCE = 1e-9
 """Relative excess of a claim over what is recomputed that is summation order on another
 machine; on the same one the numbers agree to the last bit."""
-COLUMNS = {
-    "charge": "charge", "stay": "dwell", "dwell": "dwell", "temperature": "temperature",
-    "stop_temperature": "border",
-}  # fmt: skip
-"""Intervals that a step may shrink, and the variables of the relaxation that they bound."""
 
 
 def exceeds(claim: float, proved: float) -> bool:
@@ -287,7 +283,8 @@ class Recheck:
             good = 0 <= how.stop < box.optional.size and bool(box.optional[how.stop])
         elif how.kind == "count":
             good = float(how.at).is_integer() and box.count[0] <= how.at < box.count[1]
-        elif how.kind == "halve" and how.target is not None and _place(how.target, box):
+        elif how.kind == "halve" and is_quantity(how.target, box):
+            assert how.target is not None
             interval: Interval = getattr(box, how.target.name)
             at = how.target.index
             good = bool(interval.lo[at] <= how.at <= interval.hi[at])
@@ -297,23 +294,15 @@ class Recheck:
         return how
 
 
-def _place(target: Target, box: Box) -> bool:
-    """Return whether a target is an entry of the box, with the variables that belong to it."""
-    if COLUMNS.get(target.name) != target.variable:
-        return False
-    shape = getattr(box, target.name).lo.shape
-    at = target.index if isinstance(target.index, tuple) else (target.index,)
-    return len(at) == len(shape) and all(0 <= i < n for i, n in zip(at, shape, strict=True))
-
-
 def _unsound(step: Step, proof: BoxProof) -> str:
     """Return why a step is none, empty if it is one."""
     if step.kind != "shrink":
         return ""
-    if step.target is None or step.sign not in (1, -1) or not _place(step.target, proof.box):
+    if step.sign not in (1, -1) or not is_quantity(step.target, proof.box):
         return "shrinks what is no quantity of its box"
     if proof.program is None:
         return "shrinks before the cost is bounded"
+    assert step.target is not None
     if np.any(proof.columns(step.target) < 0):
         return "shrinks a quantity that its program does not have"
     return ""

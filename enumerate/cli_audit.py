@@ -64,7 +64,7 @@ def audit(file: str, trip: str, overrides: dict[str, object], quiet: bool) -> No
 
 @contextmanager
 def _progress(quiet: bool) -> Iterator[Callable[[int, int], None] | None]:
-    """Yield what the audit calls after every box; away from a terminal it speaks late."""
+    """Yield what the audit calls after every step; away from a terminal it speaks late."""
     if quiet:
         yield None
         return
@@ -75,7 +75,7 @@ def _progress(quiet: bool) -> Iterator[Callable[[int, int], None] | None]:
     terminal = sys.stderr.isatty()
     bar: Any = tqdm(
         desc="audit",
-        unit="box",
+        unit="step",
         file=sys.stderr,
         leave=False,
         delay=0.5 if terminal else QUIET_S,

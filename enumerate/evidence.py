@@ -1,9 +1,9 @@
 """Owns the evidence of a search as data: boxes, cuts, dual vectors, and what is claimed.
 
 Trees of nodes: a root is a family of subsets with the box that dynamics alone imply,
-the parts of a node follow from where it was cut. Beside them the ledger's rows, the plan's
-controls and the numbers that were printed. Knows nothing of how any of it was found, of
-files and of what is true.
+the parts of a node follow from where it was cut. Beside them the steps of a proof over
+stages, the ledger's rows, the plan's controls and the numbers that were printed. Knows
+nothing of how any of it was found, of files and of what is true.
 """
 
 from __future__ import annotations
@@ -17,10 +17,11 @@ from relax.branch import Branch
 from relax.proof import Step
 
 if TYPE_CHECKING:
+    from enumerate.stage_graph import StageStep
     from relax.plan import Controls
     from relax.trip import Grid
 
-__all__ = ["DrivenPlan", "Evidence", "ProofNode"]
+__all__ = ["DrivenPlan", "Evidence", "ProofNode", "StageProof"]
 
 
 @dataclass(frozen=True)
@@ -65,6 +66,30 @@ class ProofNode:
     cutoff: float
     steps: tuple[Step, ...]
     how: Branch | None
+    bound: float
+
+
+@dataclass(frozen=True)
+class StageProof:
+    """A proof over stages: of every plan at once.
+
+    Parameters
+    ----------
+    closing : float
+        Cost below which plans mattered [currency].
+    steps : tuple of StageStep
+        What was done to the graph of stages, in order.
+    bound : float
+        Claim: no plan costs less [currency]; ``inf``: there is none.
+
+    Examples
+    --------
+    >>> StageProof(400.0, (), float("-inf")).closing
+    400.0
+    """
+
+    closing: float
+    steps: tuple[StageStep, ...]
     bound: float
 
 
@@ -122,6 +147,8 @@ class Evidence:
         The proofs.
     driven : DrivenPlan or None
         The plan, if there is one.
+    stages : StageProof or None
+        The proof over stages, if there is one.
 
     Examples
     --------
@@ -145,3 +172,4 @@ class Evidence:
     rows: tuple[Row, ...]
     nodes: tuple[ProofNode, ...]
     driven: DrivenPlan | None = None
+    stages: StageProof | None = None

@@ -1,8 +1,8 @@
-"""Owns the file of proofs: ledger, proof trees and the plan's controls as one ``.npz``.
+"""Owns the file of proofs: ledger, proof trees, stages and the plan's controls as one ``.npz``.
 
-A JSON header says what there is; two float64 arrays hold all dual vectors and all
-controls, one after the other. Written whole or not at all; read without pickle and
-with every type, size and index checked. Judges no claim: that is ``audit``.
+A JSON header says what there is; float64 arrays hold all dual vectors and all controls,
+one after the other, and a table the steps of stages. Written whole or not at all; read
+without pickle and with every type, size and index checked. Judges no claim: that is ``audit``.
 """
 
 from __future__ import annotations
@@ -22,7 +22,8 @@ from typing import TYPE_CHECKING, Any, NoReturn
 import numpy as np
 import numpy.typing as npt
 
-from enumerate.evidence import DrivenPlan, Evidence, ProofNode
+from enumerate.evidence import DrivenPlan, Evidence, ProofNode, StageProof
+from enumerate.evidence_stages import from_table, to_table
 from enumerate.ledger import Outcome, Row
 from relax.branch import Branch, Target
 from relax.errors import InputError
@@ -37,8 +38,8 @@ __all__ = ["fingerprint", "load_proofs", "save_evidence", "save_proofs"]
 
 Array = npt.NDArray[np.float64]
 
-FORMAT, VERSION = "evrelax proofs", 1
-MEMBERS = ("header", "duals", "controls")
+FORMAT, VERSION = "evrelax proofs", 2
+MEMBERS = ("header", "duals", "stages", "controls")
 UNHASHED = {"name", "currency", "grid"}
 """Fields that name things for reports, and the grid, which the file states itself."""
 LEAST_STEP_KM, MOST_CELLS = 0.01, 1000
@@ -159,6 +160,7 @@ def save_proofs(path: str | Path, trip: Trip, result: Result) -> None:
             rows=result.ledger.rows,
             nodes=result.proofs,
             driven=driven,
+            stages=result.stages,
         ),
     )
 
@@ -179,6 +181,10 @@ def save_evidence(path: str | Path, evidence: Evidence) -> None:
         The file cannot be written.
     """
     duals = [step.dual for node in evidence.nodes for step in node.steps]
+    stages, table, targets = evidence.stages, *to_table([])
+    if stages is not None:
+        table, targets = to_table(stages.steps)
+        duals += [step.dual for step in stages.steps]
     header = {
         "format": FORMAT,
         "version": VERSION,
@@ -194,11 +200,16 @@ def save_evidence(path: str | Path, evidence: Evidence) -> None:
         "rows": [_row_out(row) for row in evidence.rows],
         "nodes": [_node_out(node) for node in evidence.nodes],
         "stops": None if evidence.driven is None else list(evidence.driven.stops),
-    }
+        "stages": None if stages is None else {
+            "closing": _out(stages.closing), "bound": _out(stages.bound),
+            "targets": [_target_out(target) for target in targets],
+        },
+    }  # fmt: skip
     text = json.dumps(header, allow_nan=False, separators=(",", ":"))
     arrays: dict[str, npt.NDArray[Any]] = {
         "header": np.frombuffer(text.encode(), dtype=np.uint8),
         "duals": np.concatenate([np.zeros(0), *duals]).astype("<f8"),
+        "stages": table.astype("<f8"),
         "controls": _controls_out(evidence.driven).astype("<f8"),
     }
     path = Path(path)
@@ -284,16 +295,14 @@ def load_proofs(path: str | Path) -> Evidence:
         if Path(path).is_file() and not zipfile.is_zipfile(path):
             raise ValueError("it is no archive, or cut short")
         with np.load(path, allow_pickle=False) as file:
+            header = _header(file)
             if sorted(file.files) != sorted(MEMBERS):
                 raise ValueError("it has other members")
-            raw, duals, controls = (np.asarray(file[name]) for name in MEMBERS)
-        if raw.dtype != np.uint8 or raw.ndim != 1:
-            raise ValueError("its header is no text")
-        for array in (duals, controls):
-            if array.dtype != np.float64 or array.ndim != 1:
+            duals, table, controls = (np.asarray(file[name]) for name in MEMBERS[1:])
+        for array, axes in ((duals, 1), (table, 2), (controls, 1)):
+            if array.dtype != np.float64 or array.ndim != axes:
                 raise ValueError("its numbers are not in double precision")
-        header = json.loads(raw.tobytes().decode(), parse_constant=_no_constant)
-        return _evidence(header, duals, controls)
+        return _evidence(header, duals, table, controls)
     except FileNotFoundError as error:
         raise InputError(shown, "proofs", shown, "a file that exists") from error
     except BROKEN as error:
@@ -302,16 +311,27 @@ def load_proofs(path: str | Path) -> Evidence:
         raise InputError(shown, "proofs", shown, allowed) from error
 
 
-def _no_constant(name: str) -> NoReturn:
-    raise ValueError(f"{name} in its header")
-
-
-def _evidence(header: Any, duals: Array, controls: Array) -> Evidence:
-    """Build the values; every index and size is checked on the way."""
+def _header(file: Any) -> dict[str, Any]:
+    """Return the header of an archive, if it is one of this version."""
+    if MEMBERS[0] not in file.files:
+        raise ValueError("it has other members")
+    raw = np.asarray(file[MEMBERS[0]])
+    if raw.dtype != np.uint8 or raw.ndim != 1:
+        raise ValueError("its header is no text")
+    header = json.loads(raw.tobytes().decode(), parse_constant=_no_constant)
     if not isinstance(header, dict) or header.get("format") != FORMAT:
         raise ValueError("it is no file of proofs")
     if header["version"] != VERSION:
         raise ValueError(f"version {header['version']!r}, not {VERSION}")
+    return header
+
+
+def _no_constant(name: str) -> NoReturn:
+    raise ValueError(f"{name} in its header")
+
+
+def _evidence(header: dict[str, Any], duals: Array, table: Array, controls: Array) -> Evidence:
+    """Build the values; every index and size is checked on the way."""
     grid = Grid(_number(header["grid"]["step_km"]), _whole(header["grid"]["cells"]))
     if not (LEAST_STEP_KM <= grid.step_km < math.inf and 1 <= grid.cells <= MOST_CELLS):
         raise ValueError("its grid is none")
@@ -319,8 +339,7 @@ def _evidence(header: Any, duals: Array, controls: Array) -> Evidence:
     for item in header["nodes"]:
         node, used = _node(item, duals, used)
         nodes.append(node)
-    if used != duals.size:
-        raise ValueError("its dual vectors do not have the sizes stated")
+    stages = _stages(header["stages"], table, duals[used:])
     stops, asked = header["stops"], header["asked_gap"]
     return Evidence(
         trip=_text(header["trip"]),
@@ -336,7 +355,19 @@ def _evidence(header: Any, duals: Array, controls: Array) -> Evidence:
         rows=tuple(_row(item) for item in header["rows"]),
         nodes=tuple(nodes),
         driven=None if stops is None else _driven(_whole_tuple(stops), grid.cells, controls),
+        stages=stages,
     )
+
+
+def _stages(item: Any, table: Array, duals: Array) -> StageProof | None:
+    """Return the proof over stages, to which all further dual vectors belong."""
+    targets = [] if item is None else [_target(entry) for entry in item["targets"]]
+    steps = from_table(table, [t for t in targets if t is not None], duals)
+    if item is None:
+        if steps:
+            raise ValueError("it has stages that its header does not know of")
+        return None
+    return StageProof(_number(item["closing"]), steps, _number(item["bound"]))
 
 
 def _whole(value: Any) -> int:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from enumerate.evidence import ProofNode
+from enumerate.evidence import ProofNode, StageProof
 from enumerate.gap import DEFAULT_GAP, relative_gap
 from enumerate.ledger import Ledger
 
@@ -79,6 +79,8 @@ class Result:
         Transcription of the plan's subset.
     execution : Execution or None
         The plan as the car is told: its controls and charging targets.
+    stages : StageProof or None
+        Evidence of the bound over stages, if there is one and it was to be kept.
     """
 
     trip: str
@@ -100,6 +102,7 @@ class Result:
     grid: Grid | None = None
     instance: Instance | None = field(default=None, repr=False, compare=False)
     execution: Execution | None = field(default=None, repr=False, compare=False)
+    stages: StageProof | None = field(default=None, repr=False, compare=False)
 
     @cached_property
     def certificate(self) -> Certificate | None:

@@ -12,14 +12,16 @@ the stages cost more than the planes account for is less than ``closing`` minus 
 
 from __future__ import annotations
 
+from collections import OrderedDict
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
-from math import inf
+from math import inf, isfinite
 from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
+from enumerate.stage_check import refusal
 from relax.box import Box, Cell
 from relax.branch import Target, with_interval
 from relax.instance import Instance
@@ -37,6 +39,10 @@ EPS = 16.0 * float(np.finfo(np.float64).eps)
 """Relative rounding of the few operations on planes."""
 SWEEPS = 2
 """Propagations of a box that was cut or shrunk."""
+LARGEST = 1e12
+"""Planes with larger numbers are not kept: their rounding would show [currency]."""
+KEPT_PROGRAMS = 300
+"""Programs that are kept, the last used; each takes about a quarter of a megabyte."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +54,8 @@ class StageStep:
     kind : str
         ``"open"`` an arc's box, bound its ``"cost"`` by a plane, show that it is ``"empty"``,
         ``"shrink"`` a quantity, ``"propagate"`` its box, ``"halve"`` an interval of it,
-        ``"narrow"`` or ``"split"`` a vertex, or take a ``"plane"`` for it from its arcs.
+        ``"narrow"`` or ``"split"`` a vertex, or take a ``"plane"`` for it from its arcs;
+        lower the ``"closing"`` cost.
     at : int
         Number of the arc; of the vertex for ``"narrow"``, ``"split"`` and ``"plane"``.
     dual : ndarray, shape (m,)
@@ -62,15 +69,24 @@ class StageStep:
     sign : int
         1: its lower end, -1: its upper end. For ``"split"`` 0: energy, 1: temperature.
     value : float
-        Where to halve or split.
+        Where to halve or split; the closing cost [currency].
     ray : bool
         Whether the dual vector is to show that nothing is left.
     """
 
     kind: Literal[
-        "open", "cost", "empty", "shrink", "propagate", "halve", "narrow", "split", "plane"
+        "open",
+        "cost",
+        "empty",
+        "shrink",
+        "propagate",
+        "halve",
+        "narrow",
+        "split",
+        "plane",
+        "closing",
     ]
-    at: int
+    at: int = -1
     dual: Array = field(default_factory=lambda: np.zeros(0))
     slope: tuple[float, float] = (0.0, 0.0)
     state: State = (0.0, 0.0)
@@ -127,7 +143,9 @@ class Arc:
     parent_box : Box or None
         Box of the arc that it is a part of.
     program : StageProgram or None
-        On its present box.
+        On ``program_box``; None until it is needed, and after it was not used for long.
+    program_box : Box or None
+        Its present box, or that before it was shrunk and not yet propagated.
     alive : bool
         False: no plan below ``closing`` takes it.
     """
@@ -139,6 +157,7 @@ class Arc:
     box: Box | None = None
     parent_box: Box | None = None
     program: StageProgram | None = None
+    program_box: Box | None = None
     alive: bool = True
 
     def value(self, state: State) -> float:
@@ -173,6 +192,11 @@ class StageGraph:
     closing : float
         Cost below which plans matter [currency].
 
+    Raises
+    ------
+    ValueError
+        The cost is not finite.
+
     Examples
     --------
     >>> from relax import load_trip, make_instance
@@ -183,7 +207,9 @@ class StageGraph:
     """
 
     def __init__(self, instance: Instance, closing: float) -> None:
-        self.instance, self.closing = instance, closing
+        if not isfinite(closing):
+            raise ValueError(f"closing must be finite, not {closing}")
+        self.instance, self.given, self.closing = instance, closing, closing
         self.steps: list[StageStep] = []
         self.shrunk = False
         """Whether anything was left out because of its cost."""
@@ -191,14 +217,15 @@ class StageGraph:
         self.arcs: dict[int, Arc] = {}
         self._stages: dict[tuple[int, int], Instance] = {}
         self._numbers = [0, 0]
+        self._kept: OrderedDict[int, Arc] = OrderedDict()
         energy, temperature = instance.start_energy_kwh, instance.start_temperature_c
         self.start = self._vertex(START, Cell((energy, energy), (temperature, temperature)))
         self.origin: State = energy, temperature
         for stop, cell in enumerate(stop_cells(instance)):
             if cell is not None:
                 self._vertex(stop, cell)
-        everywhere = Cell((-inf, inf), (-inf, inf))
-        self.end = self._vertex(len(instance.stops), everywhere)
+        enough = Cell((instance.end_energy_min_kwh, inf), (-inf, inf))
+        self.end = self._vertex(len(instance.stops), enough)
         self.end.planes.append(Plane(0.0, 0.0, 0.0))
         order = list(self.vertices.values())
         for i, source in enumerate(order):
@@ -224,9 +251,15 @@ class StageGraph:
 
     def program(self, arc: Arc) -> StageProgram:
         """Return the program of an arc that is open, with its target's planes."""
-        assert arc.box is not None, "open it first"
         if arc.program is None:
-            arc.program = StageProgram(self.stage(arc), arc.box)
+            if arc.program_box is None:
+                assert arc.box is not None, "open it first"
+                arc.program_box = arc.box
+            arc.program = StageProgram(self.stage(arc), arc.program_box)
+        self._kept[arc.number] = arc
+        self._kept.move_to_end(arc.number)
+        if len(self._kept) > KEPT_PROGRAMS:
+            self._kept.popitem(last=False)[1].program = None
         arc.program.set_planes(arc.target.planes)
         return arc.program
 
@@ -236,7 +269,7 @@ class StageGraph:
         Planes of the source bound what a plan still costs; the arc may exceed them by
         what the whole plan may exceed the bound. Their maximum is raised to a plane.
         """
-        slack = self.closing - self.bound
+        slack = max(self.closing - self.bound, 0.0)
         if arc.source is self.start:
             return Plane(self.closing + EPS * abs(self.closing), 0.0, 0.0)
         planes, cell = arc.source.planes, arc.source.cell
@@ -256,7 +289,16 @@ class StageGraph:
         return best._replace(constant=best.constant + rise + slack + EPS * size)
 
     def apply(self, step: StageStep) -> None:
-        """Do a step: certify what it claims, change the graph, and keep it."""
+        """Do a step: certify what it claims, change the graph, and keep it.
+
+        Raises
+        ------
+        ValueError
+            It is no step of this graph; nothing is changed.
+        """
+        reason = refusal(self, step)
+        if reason:
+            raise ValueError(reason)
         self.steps.append(step)
         if step.kind == "split":
             self._split(self.vertices[step.at], step.sign, step.value)
@@ -264,6 +306,8 @@ class StageGraph:
             self._take_plane(self.vertices[step.at], step.slope)
         elif step.kind == "narrow":
             self._narrow(self.vertices[step.at])
+        elif step.kind == "closing":  # what holds for all plans below holds for fewer
+            self.closing = step.value
         elif (arc := self.arcs[step.at]).alive:
             self._change(arc, step)
 
@@ -273,8 +317,10 @@ class StageGraph:
             self._open(arc)
         elif step.kind == "cost":
             constant = self.program(arc).claim_cost(step.slope, step.dual)
-            if constant > -inf:
-                arc.planes.append(Plane(constant, *step.slope))
+            plane = Plane(constant, *step.slope)
+            size = _size(plane, arc.source.cell)
+            if size <= LARGEST:  # not if nothing is proved
+                arc.planes.append(plane._replace(constant=constant - EPS * size))
         elif step.kind == "empty":
             if self.program(arc).claim_empty(step.dual):
                 self._drop(arc)
@@ -306,14 +352,20 @@ class StageGraph:
     def _drop(self, arc: Arc) -> None:
         """Leave out an arc that no plan below ``closing`` takes."""
         if arc.alive:
-            arc.alive, arc.program = False, None
+            arc.alive = False
+            self._forget(arc)
             arc.source.out.remove(arc)
             arc.target.into.remove(arc)
+
+    def _forget(self, arc: Arc) -> None:
+        """Give up an arc's program."""
+        arc.program = arc.program_box = None
+        self._kept.pop(arc.number, None)
 
     def _open(self, arc: Arc) -> None:
         if arc.box is not None:
             return
-        end = None if arc.target is self.end else arc.target.cell
+        end = arc.target.cell
         if arc.parent_box is None:
             box = make_box(self.stage(arc), arc.source.cell, end)
             if box.empty:
@@ -322,7 +374,7 @@ class StageGraph:
                 arc.box = box
             return
         box = arc.parent_box.with_start(arc.source.cell)
-        self._set_box(arc, box if end is None else box.with_end(end))
+        self._set_box(arc, box.with_end(end))
 
     def _set_box(self, arc: Arc, box: Box) -> None:
         """Propagate a box; drop the arc if it is empty."""
@@ -330,7 +382,8 @@ class StageGraph:
             if box.empty:
                 break
             box = propagate(self.stage(arc), box)
-        arc.box, arc.program = box, None
+        arc.box = box
+        self._forget(arc)
         if box.empty:
             self._drop(arc)
 
@@ -355,13 +408,13 @@ class StageGraph:
     def _halve(self, arc: Arc, step: StageStep) -> None:
         """Two arcs in place of one: below and above a value of a quantity of its box."""
         assert step.target is not None and arc.box is not None
-        self._drop(arc)
         interval: Interval = getattr(arc.box, step.target.name)
         for upper in (False, True):
             lo, hi = interval.lo.copy(), interval.hi.copy()
             (lo if upper else hi)[step.target.index] = step.value
             part = self._arc(arc.source, arc.target, arc)
             part.parent_box = with_interval(arc.box, step.target.name, Interval(lo, hi))
+        self._drop(arc)  # last: an interrupt on the way loses no plan
 
     def _narrow(self, vertex: Vertex) -> None:
         """Leave out states where none of the arcs on one side begins or ends."""
@@ -385,14 +438,15 @@ class StageGraph:
             part = self._vertex(vertex.stop, replace(cell, **{name: limits}))
             part.planes = vertex.planes[:]
             parts.append(part)
+        # old arcs go last: an interrupt on the way loses no plan
         for arc in vertex.out[:]:
-            self._drop(arc)
             for part in parts:
                 self._arc(part, arc.target, arc)
-        for arc in vertex.into[:]:
             self._drop(arc)
+        for arc in vertex.into[:]:
             for part in parts:
                 self._arc(arc.source, part, arc)
+            self._drop(arc)
         del self.vertices[vertex.number]
 
     def _take_plane(self, vertex: Vertex, slope: tuple[float, float]) -> None:
@@ -401,9 +455,9 @@ class StageGraph:
             for arc in vertex.into[:]:
                 self._drop(arc)
             return
-        constant = min(arc.constant(slope) for arc in vertex.out)
-        if constant > -inf:
-            vertex.planes.append(Plane(constant, *slope))
+        plane = Plane(min(arc.constant(slope) for arc in vertex.out), *slope)
+        if _size(plane, vertex.cell) <= LARGEST:  # not if an arc has no bound
+            vertex.planes.append(plane)
 
     def alive(self) -> Iterable[Arc]:
         """Return the arcs that some plan may take."""
@@ -423,4 +477,11 @@ def _end(box: Box, side: int) -> Cell:
 def _hull(cell: tuple[float, float], parts: list[tuple[float, float]]) -> tuple[float, float]:
     """Return what of an interval the hull of others covers."""
     lo, hi = max(cell[0], min(p[0] for p in parts)), min(cell[1], max(p[1] for p in parts))
-    return (lo, hi) if lo <= hi else (lo, lo)
+    return (lo, hi) if lo <= hi else (hi, lo)  # crossed by rounding, or nothing passes
+
+
+def _size(plane: Plane, cell: Cell) -> float:
+    """Return the size of the numbers that a plane's values in a cell are made of."""
+    (e0, e1), (t0, t1) = cell.energy, cell.temperature
+    size = abs(plane.constant) + abs(plane.energy) * max(abs(e0), abs(e1))
+    return size + abs(plane.temperature) * max(abs(t0), abs(t1))

@@ -30,8 +30,8 @@ Array = npt.NDArray[np.float64]
 
 SETTINGS = SolveSettings(tolerance=1e-4)
 """Planes are safe whatever the tolerance; 1e-5 took a third longer to the same bound."""
-FIRST_CELL_KWH = 40.0
-"""Cells are cut to at most this width before the first planes are taken [kWh]."""
+FIRST_CELL_KWH = 15.0
+"""Cells wider than this are halved before the first planes are taken [kWh]."""
 TRIAL_C = 22.0
 """Temperature at which first planes touch: that of a battery which has just been charged."""
 RISE = 1e-3
@@ -46,7 +46,7 @@ AGAIN = 0.5
 """Boxes are shrunk again when this share is left of what was missing."""
 WORTH = {"charge": 1.0, "temperature": 3.0, "stop_temperature": 3.0}
 """Intervals narrower than this are not bounded [kWh, K]."""
-CELL_UNIT = (4.0, 20.0)
+CELL_UNIT = (3.0, 20.0)
 """Widths of cells that count alike when the quantity to cut is chosen [kWh, K]."""
 BOX_UNIT = {"charge": 6.0, "stay": 0.3, "arrival": 16.0, "middle": 20.0}
 """The same for quantities inside a stage [kWh, h, K, K]."""
@@ -162,7 +162,9 @@ class StageSearch:
             if vertex is not graph.start:
                 graph.apply(StageStep("narrow", vertex.number))
         for vertex in self._backwards():
-            self._cut_wide(vertex)
+            lo, hi = vertex.cell.energy
+            if vertex is not graph.start and hi - lo > FIRST_CELL_KWH:
+                graph.apply(StageStep("split", vertex.number, sign=0, value=0.5 * (lo + hi)))
         for vertex in self._backwards():
             if vertex is not graph.start and not self.late:
                 (e0, e1), (t0, t1) = vertex.cell.energy, vertex.cell.temperature
@@ -173,13 +175,6 @@ class StageSearch:
         graph = self.graph
         inner = [v for v in graph.vertices.values() if v is not graph.end]
         return sorted(inner, key=lambda v: (-v.stop, v.number))
-
-    def _cut_wide(self, vertex: Vertex) -> None:
-        graph = self.graph
-        lo, hi = vertex.cell.energy
-        if vertex is graph.start or hi - lo <= FIRST_CELL_KWH:
-            return
-        graph.apply(StageStep("split", vertex.number, sign=0, value=0.5 * (lo + hi)))
 
     def advance(self) -> None:
         """Follow one path, take planes along it, and shrink or cut where they do not rise."""
@@ -271,10 +266,10 @@ class StageSearch:
         return (least, value) if vertex.out else None
 
     def _ready(self, arc: Arc) -> StageProgram | None:
-        """Open an arc; return its program, None if no plan takes it."""
+        """Open an arc; return its program, None if no plan takes it or nothing follows yet."""
         if arc.box is None:
             self.graph.apply(StageStep("open", arc.number))
-        return self.graph.program(arc) if arc.alive else None
+        return self.graph.program(arc) if arc.alive and arc.target.planes else None
 
     def _solve(self, arc: Arc, program: StageProgram, q: Array) -> RawSolution:
         kept = self._solvers.get(arc.number)
@@ -292,6 +287,7 @@ class StageSearch:
         """Take a plane that touches the cost of an arc at a state."""
         program = self._ready(arc)
         if program is None:
+            self._known[arc.number] = _Known(state, None, -inf)
             return
         found = self._solve(arc, program, program.ask_start(state, self.penalty))
         if found.status is SolveStatus.INFEASIBLE:
@@ -331,6 +327,8 @@ class StageSearch:
         """Bound what is uncertain in a stage, over plans that may still matter."""
         graph, arc = self.graph, leg.arc
         assert arc.box is not None
+        if not arc.target.planes:
+            return
         for target, signs in _quantities(arc):
             interval: Interval = getattr(arc.box, target.name)
             if interval.width[target.index] < WORTH[target.name]:

@@ -60,6 +60,8 @@ def make_stage(instance: Instance, first: int, last: int) -> Instance:
         used, end = (replace(stop, node=b - a, optional=False),), stop.leave_min_kwh
     if first != START:
         least[0] = stops[first].leave_min_kwh
+    if last == len(stops):  # the family may arrive with less where it can charge
+        least[-1] = max(float(least[-1]), end)
     return replace(
         instance,
         drive=replace(

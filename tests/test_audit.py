@@ -19,10 +19,11 @@ from trips import small_trip
 
 from enumerate import Result, Status, audit, plan, save_proofs
 from enumerate.audit import audit_evidence
-from enumerate.audit_tree import COLUMNS, Family, Recheck, exceeds
+from enumerate.audit_tree import Family, Recheck, exceeds
 from enumerate.evidence import Evidence, ProofNode
 from enumerate.evidence_file import load_proofs, save_evidence
 from enumerate.ledger import Outcome
+from enumerate.quantity import COLUMNS
 from relax import Grid, InputError, Trip, make_instance
 from relax.branch import Branch, Target, branch
 from relax.proof import BoxProof, Step

@@ -66,7 +66,7 @@ def test_every_bit_comes_back(result: Result, file: Path, tmp_path: Path) -> Non
 def test_the_file_is_a_plain_archive(file: Path) -> None:
     with zipfile.ZipFile(file) as archive:
         assert {n.removesuffix(".npy") for n in archive.namelist()} == {
-            "header", "duals", "controls"
+            "header", "duals", "stages", "controls"
         }  # fmt: skip
     with np.load(file, allow_pickle=False) as arrays:
         header = json.loads(arrays["header"].tobytes())
@@ -182,7 +182,7 @@ def put(*keys: Any) -> Any:
         ('{"format": "evrelax proofs", "version": NaN}', "NaN"),
         ("[]", "no file of proofs"),
         (put("format", "other"), "no file of proofs"),
-        (put("version", 2), "version 2, not 1"),
+        (put("version", 1), "version 1, not 2"),
         (put("grid", "cells", 10**9), "grid"),
         (put("grid", "step_km", 1e-9), "grid"),
         (put("cost", "nan"), "no number"),

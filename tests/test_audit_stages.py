@@ -1,0 +1,659 @@
+"""A proof over stages is replayed by the audit; whatever its file says, no bound is too high."""
+
+from __future__ import annotations
+
+import dataclasses
+import subprocess
+import sys
+from collections.abc import Callable
+from math import inf, nan
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from trips import small_trip
+
+from enumerate import Result, audit, load_proofs, plan, save_proofs
+from enumerate.audit import audit_evidence
+from enumerate.audit_stages import StageRecheck, recheck_stages
+from enumerate.evidence import Evidence, StageProof
+from enumerate.evidence_file import save_evidence
+from enumerate.evidence_stages import COLUMNS, KINDS, from_table, to_table
+from enumerate.ledger import Outcome
+from enumerate.stage_graph import Arc, StageGraph, StageStep, _hull
+from relax import Grid, InputError, make_instance
+from relax.branch import Target, with_interval
+from relax.instance import Instance
+from relax.intervals import Interval
+from relax.stage_program import Plane
+
+ROOT = Path(__file__).resolve().parents[1]
+TRIP = dataclasses.replace(
+    small_trip(start_soc=0.45, time_value_per_h=60.0), grid=Grid(step_km=10.0, cells=4)
+)
+Steps = tuple[StageStep, ...]
+
+
+@pytest.fixture(scope="module")
+def result() -> Result:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("enumerate.search.STAGES_FROM", 2)
+        return plan(TRIP, gap=0.02, keep_proofs=True)
+
+
+@pytest.fixture(scope="module")
+def file(result: Result, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("proofs") / "stages.proofs"
+    save_proofs(path, TRIP, result)
+    return path
+
+
+@pytest.fixture(scope="module")
+def evidence(file: Path) -> Evidence:
+    return load_proofs(file)
+
+
+@pytest.fixture(scope="module")
+def proof(evidence: Evidence) -> StageProof:
+    assert evidence.stages is not None
+    return evidence.stages
+
+
+@pytest.fixture(scope="module")
+def family() -> Instance:
+    return make_instance(TRIP, (), undecided=(0, 1))
+
+
+@pytest.fixture(scope="module")
+def done(family: Instance, proof: StageProof) -> StageGraph:
+    """The graph at the end of the proof."""
+    graph = StageGraph(family, proof.closing)
+    for step in proof.steps:
+        graph.apply(step)
+    return graph
+
+
+def with_steps(evidence: Evidence, change: Callable[[Steps], Steps], **others: Any) -> Evidence:
+    assert evidence.stages is not None
+    stages = dataclasses.replace(evidence.stages, steps=change(evidence.stages.steps), **others)
+    return dataclasses.replace(evidence, stages=stages)
+
+
+# ---------------------------------------------------------------------------- what is true
+
+
+def test_what_stages_bound_is_confirmed(file: Path, result: Result, proof: StageProof) -> None:
+    assert result.stages is not None and {s.kind for s in proof.steps} >= {
+        "open", "cost", "shrink", "propagate", "narrow", "split", "plane"
+    }  # fmt: skip
+    seen: list[tuple[int, int]] = []
+    found = audit(file, TRIP, lambda done, total: seen.append((done, total)))
+    assert found.holds, found.failures
+    assert found.lower_bound == pytest.approx(result.lower_bound, rel=1e-9)
+    assert found.stage_steps == len(proof.steps)
+    total = found.nodes + found.stage_steps
+    assert seen == [(i + 1, total) for i in range(total)]
+    certified = sum(s.kind in ("cost", "empty", "shrink") for s in proof.steps)
+    certified += sum(s.kind != "propagate" for n in result.proofs for s in n.steps)
+    assert found.programs == certified
+    assert f"{len(proof.steps)} steps over stages" in " ".join(str(found).split())
+    assert max(len(line) for line in str(found).split("\n")) <= 100
+
+
+def test_the_rows_rest_on_stages(evidence: Evidence, proof: StageProof) -> None:
+    raised = [r for r in evidence.rows if r.lower_bound == proof.bound]
+    assert raised and proof.bound <= evidence.lower_bound
+    found = audit_evidence(dataclasses.replace(evidence, stages=None), TRIP)
+    assert not found.holds and found.lower_bound < evidence.lower_bound
+    text = "\n".join(found.failures)
+    assert f"row of the chargers {raised[0].subset}: claims" in text and "bound: " in text
+    rows = tuple(
+        dataclasses.replace(r, lower_bound=1.01 * r.lower_bound) if r is raised[0] else r
+        for r in evidence.rows
+    )
+    failures = audit_evidence(dataclasses.replace(evidence, rows=rows), TRIP).failures
+    assert any(text.startswith(f"row of the chargers {raised[0].subset}: ") for text in failures)
+
+
+def test_a_kept_proof_gives_the_searchs_bound_to_the_last_bit(
+    family: Instance, proof: StageProof, done: StageGraph
+) -> None:
+    assert done.lower_bound == proof.bound == recheck_stages(family, proof).bound
+
+
+@pytest.mark.parametrize("kept", [1, 3])
+def test_programs_that_were_given_up_come_back_the_same(
+    family: Instance,
+    proof: StageProof,
+    done: StageGraph,
+    monkeypatch: pytest.MonkeyPatch,
+    kept: int,
+) -> None:
+    monkeypatch.setattr("enumerate.stage_graph.KEPT_PROGRAMS", kept)
+    graph = StageGraph(family, proof.closing)
+    for step in proof.steps:
+        graph.apply(step)
+        assert sum(arc.program is not None for arc in graph.arcs.values()) <= kept
+    assert graph.bound == done.bound
+    assert [a.planes for a in graph.arcs.values()] == [a.planes for a in done.arcs.values()]
+
+
+def test_no_solver_is_loaded_for_stages(file: Path) -> None:
+    code = (
+        "import sys, dataclasses\nfrom relax.trip import Grid\nfrom trips import small_trip\n"
+        "T = small_trip(time_value_per_h=60.0, start_soc=0.45)\n"
+        "T = dataclasses.replace(T, grid=Grid(step_km=10.0, cells=4))\n"
+        "from enumerate import audit\nfound = audit(sys.argv[1], T)\n"
+        "assert found.holds and found.stage_steps, found.failures\n"
+        "print(' '.join(sorted(sys.modules)))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-W", "error", "-c", code, str(file)],
+        capture_output=True, text=True, cwd=ROOT, check=False,
+        env={"PYTHONPATH": ":".join(p for p in sys.path if p)},
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    loaded = set(done.stdout.split())
+    assert "enumerate.stage_graph" in loaded
+    assert not {m.split(".")[0] for m in loaded} & {"clarabel", "osqp", "cvxpy", "casadi"}
+    searches = {f"enumerate.{name}" for name in ("search", "stage_search", "tree", "account")}
+    assert not loaded & (searches | {"relax.solve", "relax.tighten", "relax.refinement"})
+
+
+@pytest.mark.parametrize("most", [5, 40, 75])
+def test_what_an_interrupted_search_says_is_confirmed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, most: int
+) -> None:
+    """Ctrl-C in the middle of a step, when an arc has just gone: its parts are there."""
+    monkeypatch.setattr("enumerate.search.STAGES_FROM", 2)
+    drop, count = StageGraph._drop, [0]
+
+    def interrupted(self: StageGraph, arc: Arc) -> None:
+        count[0] += 1
+        drop(self, arc)
+        if len(self.steps) >= most:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(StageGraph, "_drop", interrupted)
+    result = plan(TRIP, gap=0.005, keep_proofs=True)
+    monkeypatch.undo()
+    assert result.interrupted and result.stages is not None and count[0]
+    assert len(result.stages.steps) >= most
+    save_proofs(tmp_path / "part", TRIP, result)
+    found = audit(tmp_path / "part", TRIP)
+    assert found.holds, found.failures
+
+
+# ---------------------------------------------------------------------------- what is false
+
+
+def scaled(steps: Steps) -> Steps:
+    return tuple(dataclasses.replace(s, dual=0.7 * s.dual) for s in steps)
+
+
+def permuted(steps: Steps) -> Steps:
+    rng = np.random.default_rng(2)
+    return tuple(dataclasses.replace(s, dual=rng.permutation(s.dual)) for s in steps)
+
+
+def truncated(steps: Steps) -> Steps:
+    return tuple(dataclasses.replace(s, dual=s.dual[:-1]) for s in steps)
+
+
+def sloped(steps: Steps) -> Steps:
+    return tuple(
+        dataclasses.replace(s, slope=(s.slope[0] + 0.4, s.slope[1] - 0.1))
+        if s.kind in ("cost", "plane") else s
+        for s in steps
+    )  # fmt: skip
+
+
+def without_costs(steps: Steps) -> Steps:
+    costs = [i for i, s in enumerate(steps) if s.kind == "cost"]
+    gone = {*costs[len(costs) // 2 :]}
+    return tuple(s for i, s in enumerate(steps) if i not in gone)
+
+
+def without_opening(steps: Steps) -> Steps:
+    return tuple(s for s in steps if s.kind != "open")
+
+
+def without_the_end(steps: Steps) -> Steps:
+    return steps[: 2 * len(steps) // 3]
+
+
+def without_planes(steps: Steps) -> Steps:
+    return tuple(s for s in steps if s.kind != "plane")
+
+
+def reordered(steps: Steps) -> Steps:
+    order = sorted(range(len(steps)), key=lambda i: (steps[i].kind == "plane", i))
+    return tuple(steps[i] for i in order)
+
+
+def backwards(steps: Steps) -> Steps:
+    return steps[::-1]
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        scaled, permuted, truncated, sloped, without_costs, without_opening, without_the_end,
+        without_planes, reordered, backwards,
+    ],
+)  # fmt: skip
+def test_a_stirred_proof_is_refused(
+    evidence: Evidence, family: Instance, change: Callable[[Steps], Steps]
+) -> None:
+    stirred = with_steps(evidence, change)
+    assert stirred.stages is not None
+    found = recheck_stages(family, stirred.stages)
+    assert found.bound < stirred.stages.bound
+    assert len(found.failures) == 1 and found.failures[0].startswith("stages: ")
+
+
+def test_a_proof_without_one_of_its_steps_is_none_or_a_true_one(
+    evidence: Evidence, family: Instance, proof: StageProof
+) -> None:
+    """Some steps are not needed; without the others the bound is lower or a step impossible."""
+    missed = 0
+    for gone in range(1, len(proof.steps), 13):
+        steps = (*proof.steps[:gone], *proof.steps[gone + 1 :])
+        found = recheck_stages(family, dataclasses.replace(proof, steps=steps))
+        assert bool(found.failures) == (found.bound < proof.bound)
+        assert found.bound <= evidence.transcribed
+        missed += bool(found.failures)
+    assert missed
+
+
+def test_the_audit_names_a_stirred_proof(evidence: Evidence) -> None:
+    found = audit_evidence(with_steps(evidence, without_planes), TRIP)
+    text = "\n".join(found.failures)
+    assert not found.holds and "stages: step " in text and "bound: " in text
+    assert found.lower_bound < evidence.lower_bound
+
+
+def test_a_raised_closing_proves_no_more(
+    evidence: Evidence, family: Instance, proof: StageProof
+) -> None:
+    """What was shrunk below a cost says nothing above it; below another cost it shrinks less."""
+    for closing in (1.05 * proof.closing, 2.0 * proof.closing):
+        raised = dataclasses.replace(proof, closing=closing, bound=closing)
+        found = recheck_stages(family, raised)
+        assert found.bound <= evidence.transcribed and found.failures
+    for closing in (nan, inf, -inf):
+        found = recheck_stages(family, dataclasses.replace(proof, closing=closing))
+        assert found.bound == -inf and "closing must be finite" in found.failures[0]
+
+
+def test_a_lowered_closing_bounds_up_to_itself(family: Instance, proof: StageProof) -> None:
+    closing = 0.9 * proof.closing
+    found = recheck_stages(family, dataclasses.replace(proof, closing=closing))
+    assert found.bound <= closing and found.failures
+
+
+@pytest.mark.parametrize("bound", [1.001, inf])
+def test_a_raised_claim_is_refused(
+    evidence: Evidence, family: Instance, proof: StageProof, bound: float
+) -> None:
+    raised = dataclasses.replace(proof, bound=bound * proof.bound)
+    found = recheck_stages(family, raised)
+    assert found.bound == proof.bound
+    assert found.failures == (
+        f"stages: no plan costs less than {raised.bound!r}, they claim; what is proved is "
+        f"{proof.bound!r}",
+    )
+    lie = dataclasses.replace(evidence, stages=raised, lower_bound=raised.bound)
+    failures = audit_evidence(lie, TRIP).failures
+    assert any(text.startswith("bound: ") for text in failures)
+
+
+def test_stages_that_were_shrunk_prove_no_infeasibility(evidence: Evidence) -> None:
+    rows = tuple(
+        dataclasses.replace(r, outcome=Outcome.INFEASIBLE) if r.outcome is Outcome.BOUNDED else r
+        for r in evidence.rows
+    )
+    assert rows != evidence.rows
+    found = audit_evidence(dataclasses.replace(evidence, rows=rows), TRIP)
+    assert any("proved infeasible, it says" in text for text in found.failures)
+
+
+def draw(rng: np.random.Generator, steps: Steps, graph: StageGraph) -> StageStep:
+    """Return a step made of parts of others, with odd numbers among them."""
+    like = steps[rng.integers(len(steps))]
+    kind = like.kind if rng.random() < 0.7 else steps[rng.integers(len(steps))].kind
+    vertices, arcs = [*graph.vertices], [a.number for a in graph.alive()]
+    at = int(rng.choice(vertices if kind in ("split", "narrow", "plane") else arcs or [0]))
+    other = steps[rng.integers(len(steps))]
+    dual = like.dual * rng.choice([1.0, 1.0, -1.0, 1e-3, 1e3, 1e12], like.dual.shape)
+    return dataclasses.replace(
+        like,
+        kind=kind,
+        at=at if rng.random() < 0.9 else int(rng.integers(-2, 90)),
+        dual=like.dual if rng.random() < 0.6 else dual,
+        slope=other.slope if rng.random() < 0.9 else (float(rng.normal(0.0, 1e9)), nan),
+        state=other.state,
+        target=other.target if rng.random() < 0.5 else like.target,
+        value=float(rng.uniform(-20.0, 60.0)),
+        sign=int(rng.choice([like.sign, -1, 0, 1, 2])),
+        ray=bool(rng.random() < 0.4),
+    )
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_no_steps_at_all_bound_above_a_plan(
+    evidence: Evidence, family: Instance, proof: StageProof, seed: int
+) -> None:
+    """Odd steps between true ones: some are refused, the others lose no plan."""
+    rng = np.random.default_rng(seed)
+    closing = float(rng.choice([proof.closing, 1.02 * evidence.transcribed]))
+    graph = StageGraph(family, closing)
+    refused = did = 0
+    for step in proof.steps:
+        tried = [draw(rng, proof.steps, graph)] if rng.random() < 0.3 else []
+        for one in (*tried, step):
+            try:
+                with np.errstate(over="raise", invalid="raise", divide="raise"):
+                    graph.apply(one)
+                did += one is not step
+            except ValueError:
+                refused += 1
+        assert graph.lower_bound <= evidence.transcribed
+    assert refused and did
+
+
+# ---------------------------------------------------------------------------- malformed steps
+
+
+def state_of(graph: StageGraph) -> Any:
+    return (
+        graph.bound, graph.shrunk, len(graph.steps), graph.end.planes[:],
+        {n: (v.cell, len(v.planes)) for n, v in graph.vertices.items()},
+        {n: (a.alive, id(a.box), a.planes[:]) for n, a in graph.arcs.items()},
+    )  # fmt: skip
+
+
+def an_arc(graph: StageGraph, wanted: Callable[[Arc], bool]) -> Arc:
+    return next(a for a in graph.arcs.values() if a.alive and wanted(a))
+
+
+CHARGE = Target("charge", 0, "charge")
+
+
+@pytest.mark.parametrize(
+    ("make", "named"),
+    [
+        (lambda g, a: StageStep("guess", a.number), "'guess' is no step"),
+        *(
+            (lambda g, a, v=v: StageStep("closing", value=v), "can only fall")
+            for v in (1e6, nan, inf, -inf)
+        ),
+        (lambda g, a: StageStep("open", -1), "there is no arc -1"),
+        (lambda g, a: StageStep("cost", 10**9), "there is no arc 1000000000"),
+        (lambda g, a: StageStep("plane", -1), "there is no vertex -1"),
+        (lambda g, a: StageStep("plane", g.end.number), "at the destination"),
+        (lambda g, a: StageStep("split", g.end.number), "at the destination"),
+        (lambda g, a: StageStep("narrow", g.end.number), "at the destination"),
+        (lambda g, a: StageStep("split", g.start.number, value=g.origin[0]), "one state"),
+        (lambda g, a: StageStep("narrow", g.start.number), "one state"),
+        (lambda g, a: StageStep("plane", a.source.number, slope=(nan, 0.0)), "slope"),
+        (lambda g, a: StageStep("plane", a.source.number, slope=(0.0, inf)), "slope"),
+        (lambda g, a: StageStep("cost", a.number, slope=(inf, 0.0)), "slope"),
+        (lambda g, a: StageStep("cost", a.number, slope=(0.0, nan)), "slope"),
+        *(
+            (lambda g, a, v=v: StageStep("split", a.source.number, value=v), "outside of its cell")
+            for v in (-1.0, 1e9, nan, inf, -inf)
+        ),
+        (lambda g, a: StageStep("split", a.source.number, sign=1, value=-99.0), "outside"),
+        (lambda g, a: StageStep("split", a.source.number, sign=2, value=20.0), "no axis 2"),
+        (lambda g, a: StageStep("split", a.source.number, sign=-1, value=20.0), "no axis -1"),
+        *(
+            (lambda g, a, v=v: StageStep("halve", a.number, target=CHARGE, value=v), "of its box")
+            for v in (-1.0, 1e9, nan, inf, -inf)
+        ),
+        *(
+            (lambda g, a, t=t: StageStep("halve", a.number, target=t, value=20.0), "no such quan")
+            for t in (
+                None, Target("charge", 1, "charge"), Target("charge", -1, "charge"),
+                Target("charge", (0, 0), "charge"), Target("charge", 0, "dwell"),
+                Target("optional", 0, "used"), Target("temperature", 999, "temperature"),
+                Target("stop_temperature", (0, -1), "border"), Target("count", 0, "charge"),
+            )
+        ),
+        *(
+            (lambda g, a, t=t: StageStep("shrink", a.number, target=t, sign=1), "no such quantity")
+            for t in (None, Target("charge", -1, "charge"), Target("energy", 0, "energy"))
+        ),
+        (lambda g, a: StageStep("shrink", a.number, target=CHARGE, sign=0), "no side 0"),
+        (lambda g, a: StageStep("shrink", a.number, target=CHARGE, sign=2), "no side 2"),
+        (
+            lambda g, a: StageStep("shrink", a.number, target=CHARGE, sign=1, state=(nan, 0.0)),
+            "a state is not finite",
+        ),
+    ],
+)  # fmt: skip
+def test_a_step_that_is_none_is_refused_and_changes_nothing(
+    done: StageGraph, make: Callable[[StageGraph, Arc], StageStep], named: str
+) -> None:
+    """Into the graph at the end of a proof; the arc leads from a stop to another one."""
+    arc = an_arc(done, lambda a: a.source is not done.start and a.box is not None and
+                 a.box.charge.lo.size > 0)  # fmt: skip
+    before = state_of(done)
+    with pytest.raises(ValueError, match=named):
+        done.apply(make(done, arc))
+    assert state_of(done) == before
+
+
+def test_steps_must_come_in_an_order_that_can_be_done(family: Instance) -> None:
+    graph = StageGraph(family, 100.0)
+    inner = next(a for a in graph.arcs.values()
+                 if a.source is not graph.start and a.target is not graph.end)  # fmt: skip
+    last = next(a for a in graph.arcs.values()
+                if a.source is not graph.start and a.target is graph.end)  # fmt: skip
+    first = graph.start.out[0]
+    for kind in ("cost", "empty", "shrink", "propagate", "halve"):
+        with pytest.raises(ValueError, match="is not open"):
+            graph.apply(StageStep(kind, inner.number))  # type: ignore[arg-type]
+    for arc in (inner, last, first):
+        graph.apply(StageStep("open", arc.number))
+    end = Target("temperature", 1, "temperature")
+    for arc, named in (
+        (inner, "leads to a vertex without planes"),
+        (last, "leaves a vertex without planes: it has no budget"),
+    ):
+        with pytest.raises(ValueError, match=named):
+            graph.apply(StageStep("shrink", arc.number, target=end, sign=1))
+    first.target.planes.append(Plane(0.0, 0.0, 0.0))
+    with pytest.raises(ValueError, match="while no cost is bounded"):
+        graph.apply(StageStep("shrink", first.number, target=end, sign=1))
+    assert graph.bound == -inf and not graph.shrunk
+
+
+def test_a_fallen_closing_bounds_up_to_itself(family: Instance, proof: StageProof) -> None:
+    for early in (True, False):
+        fall = StageStep("closing", value=0.95 * proof.closing)
+        steps = (fall, *proof.steps) if early else (*proof.steps, fall)
+        found = recheck_stages(family, dataclasses.replace(proof, steps=steps))
+        assert found.bound <= fall.value and found.failures
+
+
+def test_both_parts_of_a_split_cover_the_cell(done: StageGraph, family: Instance) -> None:
+    for value in (0.0, 0.3, 1.0):
+        graph = StageGraph(family, 100.0)
+        number = next(n for n, v in graph.vertices.items() if v not in (graph.start, graph.end))
+        cell = graph.vertices[number].cell
+        lo, hi = cell.energy
+        into, out = len(graph.vertices[number].into), len(graph.vertices[number].out)
+        graph.apply(StageStep("split", number, sign=0, value=lo + value * (hi - lo)))
+        first, second = [*graph.vertices.values()][-2:]
+        assert (first.cell.energy[0], second.cell.energy[1]) == (lo, hi)
+        assert first.cell.energy[1] == second.cell.energy[0]
+        assert first.cell.temperature == second.cell.temperature == cell.temperature
+        assert [(len(v.into), len(v.out)) for v in (first, second)] == [(into, out)] * 2
+
+
+def test_both_parts_of_a_halved_arc_cover_its_box(done: StageGraph) -> None:
+    graph = StageGraph(done.instance, done.closing)
+    number = next(a.number for a in graph.start.out if a.target is not graph.end)
+    graph.apply(StageStep("open", number))
+    whole = graph.arcs[number]
+    assert whole.box is not None
+    lo, hi = float(whole.box.charge.lo[0]), float(whole.box.charge.hi[0])
+    graph.apply(StageStep("halve", number, target=CHARGE, value=0.3 * lo + 0.7 * hi))
+    parts = [a for a in graph.start.out if a.target is whole.target]
+    assert len(parts) == 2 and not whole.alive
+    limits = []
+    for part in parts:
+        assert part.parent_box is not None and part.box is None
+        charge = part.parent_box.charge
+        limits += [(float(charge.lo[0]), float(charge.hi[0]))]
+        assert part.parent_box.temperature is whole.box.temperature
+    assert limits == [(lo, 0.3 * lo + 0.7 * hi), (0.3 * lo + 0.7 * hi, hi)]
+
+
+@pytest.mark.parametrize("kind", ["split", "halve"])
+@pytest.mark.parametrize("most", [1, 2, 3])
+def test_an_interrupted_cut_loses_no_plan(
+    family: Instance, monkeypatch: pytest.MonkeyPatch, kind: str, most: int
+) -> None:
+    graph = StageGraph(family, 100.0)
+    arc = next(a for a in graph.start.out if a.target is not graph.end)
+    graph.apply(StageStep("open", arc.number))
+    assert arc.box is not None
+
+    def pairs() -> set[tuple[int, int]]:
+        return {(a.source.stop, a.target.stop) for a in graph.alive()}
+
+    before, drop, count = pairs(), StageGraph._drop, [0]
+
+    def interrupted(self: StageGraph, arc: Arc) -> None:
+        drop(self, arc)
+        count[0] += 1
+        if count[0] == most:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(StageGraph, "_drop", interrupted)
+    middle = float(arc.box.charge.mid[0]), float(np.mean(arc.target.cell.energy))
+    step = (
+        StageStep("halve", arc.number, target=CHARGE, value=middle[0])
+        if kind == "halve" else StageStep("split", arc.target.number, sign=0, value=middle[1])
+    )  # fmt: skip
+    try:
+        graph.apply(step)
+    except KeyboardInterrupt:
+        assert count[0] == most
+    assert count[0] and pairs() == before
+
+
+def test_a_program_comes_back_on_the_box_that_it_was_built_on(done: StageGraph) -> None:
+    """What was shrunk since is in the box, but not in the program until all is propagated."""
+    arc = an_arc(done, lambda a: a.box is not None and a.box.charge.lo.size > 0)
+    before = arc.box
+    assert before is not None
+    done._forget(arc)
+    program = done.program(arc)
+    charge = Interval(before.charge.lo.copy(), before.charge.hi - 0.5)
+    arc.box = with_interval(before, "charge", charge)
+    arc.program = None
+    again = done.program(arc)
+    assert again is not program and again.box is program.box is before
+    arc.box = before
+
+
+def test_ends_that_crossed_by_rounding_lose_no_state() -> None:
+    assert _hull((0.0, 9.0), [(1.0, 2.0), (3.0, 4.0)]) == (1.0, 4.0)
+    assert _hull((4.0 + 1e-9, 9.0), [(1.0, 4.0)]) == (4.0, 4.0 + 1e-9)
+
+
+def test_a_steep_plane_is_not_kept(done: StageGraph) -> None:
+    """Its value would be a small difference of large numbers."""
+    arc = an_arc(done, lambda a: a.target is done.end and a.box is not None)
+    assert arc.box is not None
+    zero = np.zeros(done.program(arc).cone.b.size)
+    count = len(arc.planes)
+    done.apply(StageStep("cost", arc.number, zero, (1e14, 0.0)))
+    done.apply(StageStep("plane", arc.source.number, slope=(1e14, 0.0)))
+    assert len(arc.planes) == count
+    assert all(abs(p.energy) < 1e9 for p in arc.source.planes)
+    done.apply(StageStep("cost", arc.number, zero, (1.0, 0.0)))
+    assert len(arc.planes) == count + 1
+    del arc.planes[-1]
+
+
+# ---------------------------------------------------------------------------- the file
+
+
+def test_every_bit_of_a_step_comes_back(result: Result, evidence: Evidence, tmp_path: Path) -> None:
+    assert result.stages is not None
+    save_evidence(tmp_path / "again", evidence)
+    for stages in (evidence.stages, load_proofs(tmp_path / "again").stages):
+        assert stages is not None
+        assert stages.closing == result.stages.closing and stages.bound == result.stages.bound
+        for step, same in zip(stages.steps, result.stages.steps, strict=True):
+            for field in dataclasses.fields(StageStep):
+                one, other = getattr(step, field.name), getattr(same, field.name)
+                if field.name == "dual":
+                    one, other = one.tobytes(), np.asarray(other, dtype=np.float64).tobytes()
+                assert one == other
+
+
+def table_with(proof: StageProof, column: str, value: float) -> Any:
+    table, targets = to_table(proof.steps)
+    table[3, COLUMNS.index(column)] = value
+    return table, targets, np.concatenate([s.dual for s in proof.steps])
+
+
+@pytest.mark.parametrize(
+    ("column", "value", "named"),
+    [
+        ("kind", float(len(KINDS)), "kinds that there are not"),
+        ("kind", -1.0, "kinds that there are not"),
+        ("kind", 0.5, "fractions"),
+        ("at", nan, "fractions"),
+        ("at", inf, "fractions"),
+        ("at", 1e300, "fractions"),
+        ("dual entries", -1.0, "sizes that there are not"),
+        ("dual entries", 1e12, "sizes that there are not"),
+        ("dual entries", 7.0, "sizes stated"),
+        ("target", 99.0, "targets that there are not"),
+        ("target", -2.0, "targets that there are not"),
+        ("ray", 2.0, "flags that there are not"),
+        ("sign", 0.1, "fractions"),
+    ],
+)
+def test_a_damaged_table_is_refused(
+    proof: StageProof, column: str, value: float, named: str
+) -> None:
+    with pytest.raises(ValueError, match=named):
+        from_table(*table_with(proof, column, value))
+
+
+def test_a_damaged_file_is_refused(evidence: Evidence, tmp_path: Path) -> None:
+    save_evidence(tmp_path / "good", evidence)
+    with np.load(tmp_path / "good", allow_pickle=False) as arrays:
+        members = {name: arrays[name] for name in arrays.files}
+    header = members["header"].tobytes().decode()
+    assert '"stages":{"closing":' in header
+    start = header.index('"stages":') + len('"stages":')
+    for name, change in {
+        "no stages": {"header": header[:start] + "null}"},
+        "no number": {"header": header[:start] + '{"closing":"nan","bound":1,"targets":[]}}'},
+        "columns": {"stages": members["stages"][:, 1:]},
+        "flat": {"stages": members["stages"].ravel()},
+        "short": {"stages": members["stages"][:-5]},
+        "integers": {"stages": members["stages"].astype(np.int64)},
+    }.items():
+        changed: dict[str, Any] = {
+            key: np.frombuffer(value.encode(), dtype=np.uint8) if isinstance(value, str) else value
+            for key, value in (members | change).items()
+        }
+        with (tmp_path / name).open("wb") as stream:
+            np.savez(stream, **changed)
+        with pytest.raises(InputError, match="undamaged"):
+            load_proofs(tmp_path / name)
+
+
+def test_nothing_is_proved_without_steps(family: Instance) -> None:
+    found = recheck_stages(family, StageProof(100.0, (), -inf))
+    assert found == StageRecheck(-inf, 0, 0, ())
