@@ -29,6 +29,7 @@ bench: $(VENV)/.dev  ## compare with all peers; takes hours, resumes where it wa
 	$(BIN)/python -m benchmarks.report
 	$(BIN)/python -m benchmarks.optimality --resume
 	$(BIN)/python -m benchmarks.speed
+	$(BIN)/python -m benchmarks.proofs
 
 bench-smoke: $(VENV)/.dev  ## one small case of each benchmark
 	$(BIN)/python -m benchmarks.optimality --smoke
@@ -37,6 +38,7 @@ bench-smoke: $(VENV)/.dev  ## one small case of each benchmark
 	$(BIN)/python -m benchmarks.scale --smoke
 	$(BIN)/python -m benchmarks.floor --smoke
 	$(BIN)/python -m benchmarks.report --smoke
+	$(BIN)/python -m benchmarks.proofs --smoke
 
 $(VENV)/.base:
 	$(PYTHON) -c 'import sys; sys.exit("evrelax needs Python 3.11 or later" if sys.version_info < (3, 11) else 0)'

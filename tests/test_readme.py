@@ -22,6 +22,8 @@ from statistics import median
 import pytest
 from click.testing import CliRunner
 
+from benchmarks.proofs import summarise as summarise_proofs
+from benchmarks.rows import read_rows
 from enumerate import plan
 from enumerate.cli import main
 from relax import load_trip, make_instance
@@ -285,10 +287,19 @@ def memory_table() -> str:
     )
 
 
+def proofs_table() -> str:
+    return summarise_proofs(read_rows(RESULTS / "proofs.csv"))
+
+
 @pytest.mark.long  # who reruns a benchmark on another machine need not mend the page
 @pytest.mark.parametrize(
     ("name", "table"),
-    [("speed", speed_table), ("optimality", optimality_table), ("memory", memory_table)],
+    [
+        ("speed", speed_table),
+        ("optimality", optimality_table),
+        ("proofs", proofs_table),
+        ("memory", memory_table),
+    ],
 )
 def test_tables_are_those_of_the_result_files(name: str, table: Callable[[], str]) -> None:
     (said,) = re.findall(

@@ -1,0 +1,210 @@
+"""How long does a proof take? Plans with a gap asked for, one thread.
+
+    python -m benchmarks.proofs [--cases PATTERN ...] [--fresh] [--smoke]
+
+Every case of ``paper/`` to 1 % and, within 10 s, to 0.1 %; the corridor in summer and winter
+and the twenty chargers of ``long-1000km-winter`` to 1 %; and a start so empty that nothing can
+be reached. Rows are appended to ``benchmarks/results/proofs.csv``; the same command resumes.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from dataclasses import dataclass, replace
+from datetime import date
+from pathlib import Path
+from statistics import median
+from time import perf_counter
+
+from benchmarks.machine import make_single_threaded, processor, versions
+
+if __name__ == "__main__":
+    make_single_threaded()  # before numpy is imported
+
+from tqdm import tqdm
+
+from benchmarks.cases import CASES, SMOKE, Case
+from benchmarks.rows import RESULTS, Row, RowFile, number
+from benchmarks.sources import code_digest
+from enumerate import plan
+
+__all__ = ["COLUMNS", "Task", "main", "measure", "summarise", "tasks"]
+
+KEY = ("case", "asked_gap", "time_limit_s", "version")
+COLUMNS = (
+    *KEY, "chargers", "subsets", "status", "cost", "lower_bound", "gap", "programs", "prove_s",
+    "total_s", "interrupted", "date", "processor", "versions",
+)  # fmt: skip
+"""Columns of the result file."""
+FULL, FINE = 0.01, 0.001
+"""Relative gaps asked for."""
+FINE_LIMIT_S = 10.0
+"""Time for the fine gap [s]."""
+LIMIT_S = 180.0
+"""Time for the others [s]."""
+EMPTY = "corridor/goteborg-stockholm-winter"
+"""Case of which the infeasible one is made."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """One plan to be proved.
+
+    Parameters
+    ----------
+    name : str
+        What the row is called.
+    case : Case
+        The trip.
+    gap : float
+        Relative gap asked for.
+    limit_s : float
+        Time limit [s].
+    start_soc : float or None
+        Another state of charge at the start.
+    """
+
+    name: str
+    case: Case
+    gap: float
+    limit_s: float
+    start_soc: float | None = None
+
+
+def tasks(cases: tuple[Case, ...] = CASES) -> list[Task]:
+    """Return what is measured of some cases.
+
+    Examples
+    --------
+    >>> len(tasks()) == 27 + 27 + 3 + 1
+    True
+    """
+    paper = [case for case in cases if case.group == "paper"]
+    others = [case for case in cases if case.group == "corridor"]
+    out = [Task(case.name, case, FULL, LIMIT_S) for case in paper]
+    out += [Task(case.name, case, FINE, FINE_LIMIT_S) for case in paper]
+    out += [Task(case.name, case, FULL, LIMIT_S) for case in others]
+    empty = [case for case in others if case.name == EMPTY]
+    return out + [Task(f"{c.name}, start at 30 %", c, FULL, LIMIT_S, 0.3) for c in empty]
+
+
+def measure(task: Task) -> Row:
+    """Plan one trip with a gap asked for.
+
+    Examples
+    --------
+    >>> row = measure(Task("smoke", SMOKE, 0.05, 60.0))
+    >>> row["status"], row["gap"] <= 0.05
+    ('optimal', True)
+    """
+    trip = task.case.load()
+    if task.start_soc is not None:
+        trip = replace(trip, start_soc=task.start_soc)
+    begin = perf_counter()
+    result = plan(trip, gap=task.gap, time_limit_s=task.limit_s)
+    seconds = perf_counter() - begin
+    return {
+        "chargers": len(trip.chargers),
+        "subsets": 2 ** len(trip.chargers),
+        "status": result.status.name.lower(),
+        "cost": result.cost,
+        "lower_bound": result.lower_bound,
+        "gap": result.gap,
+        "programs": result.programs,
+        "prove_s": result.timings_s.get("prove", 0.0),
+        "total_s": seconds,
+        "interrupted": result.interrupted,
+    }
+
+
+def summarise(rows: list[Row]) -> str:
+    """Return the table of README.md from the rows of the result file.
+
+    Examples
+    --------
+    >>> row = {"case": "paper/a", "asked_gap": "0.01", "gap": "0.01", "total_s": "2.0",
+    ...        "programs": "40", "subsets": "8", "status": "optimal", "time_limit_s": "180.0"}
+    >>> print(summarise([row]))
+    | gap asked for | | reached | time | programs |
+    |---:|---|---:|---:|---:|
+    | 1 % | 1 variants of `paper-400km` | 1 of 1 | 2.0 s (2.0 to 2.0) | 40 (40 to 40) |
+    | | - of these within 1 s, 5 s, 20 s | 0, 1, 1 | | |
+    """
+    lines = ["| gap asked for | | reached | time | programs |", "|---:|---|---:|---:|---:|"]
+    for gap, limits in ((FULL, (1.0, 5.0, 20.0)), (FINE, ())):
+        group = [
+            r for r in rows if r["case"].startswith("paper/") and number(r, "asked_gap") == gap
+        ]
+        if not group:
+            continue
+        good = [row for row in group if number(row, "gap") <= gap * (1.0 + 1e-9)]
+        times, programs = ([number(r, name) for r in group] for name in ("total_s", "programs"))
+        lines.append(
+            f"| {100 * gap:g} % | {len(group)} variants of `paper-400km` | {len(good)} of "
+            f"{len(group)} | {median(times):.1f} s ({min(times):.1f} to {max(times):.1f}) | "
+            f"{median(programs):.0f} ({min(programs):.0f} to {max(programs):.0f}) |"
+        )
+        if limits:
+            within = [sum(number(r, "total_s") <= limit for r in good) for limit in limits]
+            words = ", ".join(f"{limit:g} s" for limit in limits)
+            counts = ", ".join(str(n) for n in within)
+            lines.append(f"| | - of these within {words} | {counts} | | |")
+        else:
+            open_ = sorted((number(r, "gap") for r in group if r not in good), reverse=True)
+            if open_:
+                lines.append(
+                    f"| | - gap of the others after {FINE_LIMIT_S:g} s | "
+                    f"{100 * open_[-1]:.2f} to {100 * open_[0]:.2f} % | | |"
+                )
+    for row in rows:
+        if not row["case"].startswith("paper/"):
+            gap, subsets = number(row, "gap"), int(number(row, "subsets"))
+            reached = row["status"] if row["status"] == "infeasible" else f"{100 * gap:.2f} %"
+            lines.append(
+                f"| {100 * number(row, 'asked_gap'):g} % | {row['case'].split('/')[-1]}, "
+                f"{subsets:,} choices | {reached} | {number(row, 'total_s'):.1f} s | "
+                f"{number(row, 'programs'):.0f} |"
+            )
+    return "\n".join(lines)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Measure what is missing, write the rows, print the table; returns the exit code."""
+    parser = argparse.ArgumentParser(prog="benchmarks.proofs", description=__doc__)
+    parser.add_argument("--cases", nargs="*", default=[], metavar="PATTERN")
+    parser.add_argument("--fresh", action="store_true", help="forget the rows there are")
+    parser.add_argument("--smoke", action="store_true", help="one small case, once, anew")
+    options = parser.parse_args(arguments)
+    from benchmarks.cases import select
+
+    try:
+        wanted = tasks(select(options.cases))
+    except ValueError as error:
+        parser.error(str(error))
+    name, path = "proofs", Path(RESULTS)
+    if options.smoke:
+        wanted, name = [Task(SMOKE.name, SMOKE, 0.05, 60.0)], "proofs-smoke"
+    file = RowFile(path / f"{name}.csv", COLUMNS, KEY, fresh=options.fresh or options.smoke)
+    where = {
+        "version": code_digest("enumerate.search", ("relax", "enumerate")),
+        "date": date.today().isoformat(),
+        "processor": processor(),
+        "versions": " ".join(f"{k}={v}" for k, v in versions().items()),
+    }
+    try:
+        for task in tqdm(wanted, file=sys.stderr, desc="proofs", disable=None):
+            row: Row = where | {
+                "case": task.name, "asked_gap": task.gap, "time_limit_s": task.limit_s,
+            }  # fmt: skip
+            if not file.has(row):
+                file.append(row | measure(task))
+    except KeyboardInterrupt:
+        print("interrupted; the same command resumes", file=sys.stderr)
+        return 130
+    print(summarise(file.rows))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
