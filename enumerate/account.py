@@ -14,7 +14,8 @@ from math import inf
 
 from enumerate.evidence import ProofNode
 from enumerate.ledger import Outcome, Row
-from enumerate.stage_graph import StageGraph, StageStep
+from enumerate.stage_graph import StageGraph
+from enumerate.stage_parts import StageStep
 from enumerate.subset import Subset
 from enumerate.tree import Examined, Leaf
 from relax.proof import Step

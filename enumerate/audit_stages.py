@@ -60,7 +60,7 @@ def recheck_stages(
 
     Examples
     --------
-    >>> from enumerate.stage_graph import StageStep
+    >>> from enumerate.stage_parts import StageStep
     >>> from relax import load_trip, make_instance
     >>> family = make_instance(load_trip("paper-400km"), (), undecided=(0, 1, 2))
     >>> recheck_stages(family, StageProof(400.0, (StageStep("open", 3),), 100.0)).failures

@@ -17,7 +17,7 @@ from relax.branch import Branch
 from relax.proof import Step
 
 if TYPE_CHECKING:
-    from enumerate.stage_graph import StageStep
+    from enumerate.stage_parts import StageStep
     from relax.plan import Controls
     from relax.trip import Grid
 

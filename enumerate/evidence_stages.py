@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from enumerate.stage_graph import StageStep
+from enumerate.stage_parts import StageStep
 from relax.branch import Target
 
 __all__ = ["COLUMNS", "from_table", "to_table"]

@@ -27,7 +27,8 @@ from enumerate.gap import DEFAULT_GAP, closing_cost, is_close, is_closed, relati
 from enumerate.ledger import Ledger, Outcome, Row
 from enumerate.pool import run_in_order
 from enumerate.result import Result, Status
-from enumerate.stage_graph import StageGraph, StageStep
+from enumerate.stage_graph import StageGraph
+from enumerate.stage_parts import StageStep
 from enumerate.stage_search import StageSearch
 from enumerate.subset import Subset, all_subsets, neighbours
 from enumerate.tasks import (
@@ -60,10 +61,6 @@ STAGES_FROM = 9
 """From this many chargers on, all plans together are bounded stage by stage first."""
 STAGES_STOPS = 3
 """The same if the best plan has this many stops: cutting a subset multiplies over its stops."""
-STALL = 100
-"""Paths without a gain of ``STALL_SHARE`` after which the rest is left to families."""
-STALL_SHARE = 0.05
-"""Share of what is missing that counts as a gain."""
 MOST_PATHS = 16
 """Subsets planned because a path of stages used them."""
 MAX_PLANNED = 10
@@ -282,21 +279,12 @@ class _Search:
         graph = StageGraph(family, self._cutoff(gap))
         stages = StageSearch(graph, self.deadline)
         tried: set[Subset] = set()
-        first = best = -inf
-        idle = paths = 0
+        paths = 0
         try:
-            stages.prepare()
-            while not stages.done and idle < STALL:
-                stages.advance()
-                missing = graph.closing - graph.bound
-                gained = graph.bound > best + STALL_SHARE * missing or best == -inf
-                best, idle = (graph.bound, 0) if gained else (best, idle + 1)
-                first = graph.bound if first == -inf else first
-                share = 1.0 - missing / max(graph.closing - first, 1e-9)
-                done = int(100.0 * min(max(share, 0.0), 1.0))
-                self._tell("stages, % of the gap", done, 100, graph.lower_bound)
+            for share in stages.run():
+                self._tell("stages, % of the gap", int(100.0 * share), 100, graph.lower_bound)
                 subset = tuple(sorted(family.stops[i].charger for i in stages.path))
-                paths += missing < STAGE_NEAR * abs(graph.closing)
+                paths += graph.closing - graph.bound < STAGE_NEAR * abs(graph.closing)
                 if paths % PATHS_EVERY == 1 and subset not in tried and len(tried) < MOST_PATHS:
                     tried.add(subset)
                     self._plan_new([subset])

@@ -7,21 +7,35 @@ nothing of how steps are done.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from math import inf, isfinite
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 from enumerate.quantity import is_quantity
+from enumerate.stage_parts import Arc, StageStep, Vertex
 from relax.intervals import Interval
 
-if TYPE_CHECKING:
-    from enumerate.stage_graph import Arc, StageGraph, StageStep, Vertex
-
-__all__ = ["refusal"]
+__all__ = ["Graph", "refusal"]
 
 AXES = ("energy", "temperature")
 
 
-def refusal(graph: StageGraph, step: StageStep) -> str:
+class Graph(Protocol):
+    """What is asked of a graph of stages."""
+
+    start: Vertex
+    end: Vertex
+    closing: float
+
+    @property
+    def vertices(self) -> Mapping[int, Vertex]: ...  # noqa: D102
+    @property
+    def arcs(self) -> Mapping[int, Arc]: ...  # noqa: D102
+    @property
+    def bound(self) -> float: ...  # noqa: D102
+
+
+def refusal(graph: Graph, step: StageStep) -> str:
     """Return why a step cannot be done, empty if it can; nothing is changed.
 
     Parameters
@@ -33,7 +47,8 @@ def refusal(graph: StageGraph, step: StageStep) -> str:
 
     Examples
     --------
-    >>> from enumerate.stage_graph import StageGraph, StageStep
+    >>> from enumerate.stage_graph import StageGraph
+    >>> from enumerate.stage_parts import StageStep
     >>> from relax import load_trip, make_instance
     >>> family = make_instance(load_trip("paper-400km"), (), undecided=(0, 1, 2))
     >>> graph = StageGraph(family, closing=400.0)
@@ -57,7 +72,7 @@ def refusal(graph: StageGraph, step: StageStep) -> str:
     return _arc(graph, arc, step)
 
 
-def _vertex(graph: StageGraph, vertex: Vertex, step: StageStep) -> str:
+def _vertex(graph: Graph, vertex: Vertex, step: StageStep) -> str:
     """Return why a step cannot be done at a vertex."""
     if vertex is graph.end:
         return "nothing can be done at the destination"
@@ -74,7 +89,7 @@ def _vertex(graph: StageGraph, vertex: Vertex, step: StageStep) -> str:
     return ""
 
 
-def _arc(graph: StageGraph, arc: Arc, step: StageStep) -> str:
+def _arc(graph: Graph, arc: Arc, step: StageStep) -> str:
     """Return why a step cannot be done at an arc."""
     if arc.box is None:
         return f"arc {arc.number} is not open"

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import time
 from collections import OrderedDict
+from collections.abc import Iterator
 from dataclasses import dataclass
 from math import inf
 from typing import NamedTuple
@@ -17,7 +18,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from enumerate.stage_graph import Arc, StageGraph, StageStep, State, Vertex
+from enumerate.stage_graph import StageGraph
+from enumerate.stage_parts import Arc, StageStep, State, Vertex
 from relax.branch import Target
 from relax.instance import Instance
 from relax.intervals import Interval
@@ -56,6 +58,10 @@ MOST_SLOPES = 12
 """Arcs bounded with the slope of one plane: then the plane takes what is known."""
 MOST_TRIES = 300
 """Arcs solved for one state."""
+STALL = 100
+"""Paths without a gain of ``STALL_SHARE`` after which a search ends."""
+STALL_SHARE = 0.05
+"""Share of what is missing that counts as a gain."""
 KEPT_SOLVERS = 150
 """Solvers that are kept set up; each takes about half a megabyte."""
 
@@ -147,6 +153,22 @@ class StageSearch:
     def done(self) -> bool:
         """Whether all is closed, or time is up."""
         return self.graph.bound >= self.graph.closing or self.late
+
+    def run(self) -> Iterator[float]:
+        """Prepare, then follow paths; yield after each which share of the gap is closed.
+
+        Ends when all is closed, time is up, or many paths have gained next to nothing.
+        """
+        graph = self.graph
+        self.prepare()
+        first, best, idle = -inf, -inf, 0
+        while not self.done and idle < STALL:
+            self.advance()
+            first = graph.bound if first == -inf else first
+            missing = graph.closing - graph.bound
+            gained = graph.bound > best + STALL_SHARE * missing or best == -inf
+            best, idle = (graph.bound, 0) if gained else (best, idle + 1)
+            yield min(max(1.0 - missing / max(graph.closing - first, 1e-9), 0.0), 1.0)
 
     def prepare(self) -> None:
         """Open all stages, cut cells that are very wide, and take first planes, from the end."""

@@ -17,7 +17,8 @@ from typing import Any
 import numpy as np
 from trips import small_trip
 
-from enumerate.stage_graph import Arc, StageGraph, Vertex
+from enumerate.stage_graph import StageGraph
+from enumerate.stage_parts import Arc, Vertex
 from relax.bound import relax_subset
 from relax.box import Box
 from relax.instance import MIN_CHARGE_KWH, Instance, make_instance

@@ -21,7 +21,8 @@ from enumerate.evidence import Evidence, StageProof
 from enumerate.evidence_file import save_evidence
 from enumerate.evidence_stages import COLUMNS, KINDS, from_table, to_table
 from enumerate.ledger import Outcome
-from enumerate.stage_graph import Arc, StageGraph, StageStep, _hull
+from enumerate.stage_graph import StageGraph, _hull
+from enumerate.stage_parts import Arc, StageStep
 from relax import Grid, InputError, make_instance
 from relax.branch import Target, with_interval
 from relax.instance import Instance

@@ -13,7 +13,7 @@ from staged import KINDS, Piece, Planned, cut, family_of, make_plans, outside, p
 from test_relaxation import nasty_trip
 
 from benchmarks.random_trips import random_trip
-from enumerate.stage_graph import StageStep
+from enumerate.stage_parts import StageStep
 from relax.box import Cell
 from relax.instance import Instance
 from relax.load import load_trip

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from staged import KINDS, check, cut, family_of, legs_of, plans_of, replay, trip_of
 
-from enumerate.stage_graph import Arc, StageGraph, StageStep, Vertex
+from enumerate.stage_graph import StageGraph
+from enumerate.stage_parts import Arc, StageStep, Vertex
 from enumerate.stage_search import StageSearch
 from relax.bound import relax_subset
 from relax.branch import Target
