@@ -27,10 +27,9 @@ TARGET_TOLERANCE_KWH = 5e-6
 """How exactly the driven trip ends at its least energy [kWh]."""
 MAX_DRIVES = 8
 """Bound on the replays that move the charging targets; 2 or 3 are usual."""
-MAX_REPAIRS = 3
-"""Bound on the refinements inside tightened limits."""
-REPAIR_MARGIN = 1.5
-"""Limits are tightened by this multiple of what was missed."""
+REPAIR_MARGINS = (1.05, 1.5, 1.5)
+"""Each refinement inside tightened limits moves them by this multiple of what was missed. The
+first is nearly exact: 1.5 cost a plan at the limit of its temperature 0.3 % more."""
 
 
 @dataclass(frozen=True)
@@ -83,10 +82,10 @@ def _drive(trip: Trip, instance: Instance, refined: Refined) -> tuple[tuple[floa
     return tuple(targets), driven
 
 
-def _tightened(instance: Instance, driven: Replay) -> Instance:
-    """Return the instance with limits moved inwards by what the drive missed."""
+def _tightened(instance: Instance, driven: Replay, margin: float) -> Instance:
+    """Return the instance with limits moved inwards by a multiple of what the drive missed."""
     for violation in driven.violations:
-        amount = REPAIR_MARGIN * violation.amount
+        amount = margin * violation.amount
         if violation.unit == "K" and "above" in violation.rule:
             instance = replace(instance, temperature_max_c=instance.temperature_max_c - amount)
         elif violation.unit == "K":
@@ -147,7 +146,7 @@ def execute(
     driven: Replay | None = None
     targets: tuple[float, ...] = ()
     reason = "it violates a limit already on the grid"
-    for attempt in range(MAX_REPAIRS + 1):
+    for margin in (*REPAIR_MARGINS, None):
         if not refined.feasible:
             break
         try:
@@ -158,7 +157,7 @@ def execute(
         if driven.feasible:
             return Execution(refined.controls, targets, refined.trajectory, driven, "")
         reason = "; ".join(str(v) for v in driven.violations)
-        if attempt < MAX_REPAIRS:
-            inner = _tightened(inner, driven)
+        if margin is not None:
+            inner = _tightened(inner, driven, margin)
             refined = refine(inner, refined.controls, settings)
     return Execution(refined.controls, targets, refined.trajectory, driven, reason)
