@@ -184,6 +184,10 @@ def _energies(instance: Instance, box: Box, power: Interval, charge_hi: Array) -
             low = min(low, after.lo[j]) if usable[j] else after.lo[j]
             high = max(high, after.hi[j]) if usable[j] else after.hi[j]
         segments[j][:, -1] = np.minimum(segments[j][:, -1], [-low, high])
+    never = box.unusable  # crossed already: every sweep would cross them by more, without end
+    if never.any():
+        for now, given in ((arrive, box.arrive), (leave, box.leave), (charge, box.charge)):
+            now.lo[never], now.hi[never] = given.lo[never], given.hi[never]
     return {
         "energy": energy.outward(),
         "arrive": arrive.outward(),

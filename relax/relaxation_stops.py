@@ -179,7 +179,8 @@ def _add_charge_time(model: Model, tables: ChargeGrid) -> None:
     W, y, p, before = v["charge"][:, None], v["dwell"], v["cell_limit"], v["before"][:, None]
     used = np.broadcast_to(v["used"][:, None], shape)
     t0, t1, c = v["border"][:, :-1], v["border"][:, 1:], (np.arange(K) + 0.5) / K
-    w_lo, w_hi = box.charge.lo[:, None], box.charge.hi[:, None]
+    w_lo = box.charge.lo[:, None]
+    w_hi = np.maximum(box.charge.hi[:, None], w_lo)  # crossed where a stop cannot be used
     power = tables.power_range
     s_e, s_t, s_0 = envelope_charge_time_under(tables).reshape(-1, 3, *shape).swapaxes(0, 1)
     least = 1.0 / np.maximum(power.hi.reshape(shape), 1e-6) * (1.0 - 1e-9)

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from trips import small_trip
 
+from benchmarks.random_trips import random_trip
 from enumerate.account import Account
 from enumerate.ledger import Ledger, Outcome, Row
 from enumerate.result import Status
@@ -306,3 +307,19 @@ def test_leaves_carry_their_bound_to_their_parts() -> None:
     done = examine(lambda a, b: make_instance(trip("winter"), a, undecided=b), root, 1e6)
     assert all(part.bound == done.bound for part in done.parts)
     assert isinstance(done.leaf, Leaf) and done.leaf.number == -1
+
+
+def test_a_stop_that_cannot_be_used_stays_out_of_the_way() -> None:
+    """Its intervals have crossed: further sweeps leave them, and the relaxation is built."""
+    trip = random_trip(1137)  # two chargers at the start, where the battery is too full
+    for used in ((), (0,)):
+        maybe = tuple(i for i in range(len(trip.chargers)) if i not in used)
+        instance = make_instance(trip, used, undecided=maybe)
+        box = make_box(instance)
+        never = box.unusable
+        assert never.any() and not box.empty
+        before = box.charge
+        for _ in range(30):
+            box = propagate(instance, box)
+        assert box.charge.hi[never] == pytest.approx(before.hi[never], abs=1e-4)
+        assert build_relaxation(instance, box).q.size > 0
