@@ -14,21 +14,27 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks import random_trips, validity
+from benchmarks import adversaries, random_trips, rivals, stage_claims, validity
+from benchmarks.adversaries import audit_trip
+from benchmarks.contradiction import Audit, Effort
 from benchmarks.random_trips import describe, random_trip
-from benchmarks.validity import CHECKS, Audit, Effort, attacked, audit_trip, main
+from benchmarks.rivals import attacked
+from benchmarks.validity import CHECKS, main
+from enumerate.stage_graph import StageGraph
 from relax import make_instance
 from relax.box import Box
 from relax.certify import LowerBound
-from relax.instance import Instance
+from relax.instance import Instance, make_drive
 from relax.intervals import Interval
 from relax.load import shipped_vehicles
 from relax.reach import make_box
+from relax.stage_program import StageProgram
 
 SLICE = (6, 8, 14, 34, 43)
 """Seeds of trips that have plans; together they see every check in a few seconds."""
-LONG_SLICE = range(100, 160)
-SMALL = Effort(subsets=2, starts=1, drives=3, plan_s=2.0, prove_s=0.5)
+LONG_SLICE = (*range(100, 160), 1779)
+"""The last has families of subsets in its ledger."""
+SMALL = Effort(subsets=2, starts=1, drives=3, plan_s=2.0, prove_s=0.5, closings=1, advances=6)
 FAULTY = 34
 """A seed with plans, on which faults are planted."""
 
@@ -49,7 +55,7 @@ def audit_all(seeds: Any, effort: Effort) -> Counter[str]:
 def test_no_claim_contradicts_a_plan() -> None:
     total = audit_all(SLICE, SMALL)
     for check in CHECKS:
-        if check not in ("driven_below_bound", "closed"):
+        if check not in ("driven_below_bound", "closed", "stage_closed"):
             assert total[check] > 0, f"the slice never sees {check}"
     assert total["attacks"] > 100 and total["tightened"] > 20
 
@@ -58,6 +64,7 @@ def test_no_claim_contradicts_a_plan() -> None:
 def test_no_claim_contradicts_a_plan_on_more_trips() -> None:
     total = audit_all(LONG_SLICE, Effort())
     assert total["attacks"] > 1000 and total["tightened"] > 1000 and total["closed"] > 50
+    assert total["stage_paths"] > 1000 and total["stage_closed"] > 5
 
 
 def test_a_trip_is_determined_by_its_seed() -> None:
@@ -136,7 +143,7 @@ def kinds(seed: int = FAULTY) -> set[str]:
 
 
 def test_a_root_bound_that_is_too_high_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    true = validity.relax_subset
+    true = adversaries.relax_subset
 
     def wrong(instance: Instance, *more: Any) -> Any:
         found = true(instance, *more)
@@ -145,13 +152,13 @@ def test_a_root_bound_that_is_too_high_is_found(monkeypatch: pytest.MonkeyPatch)
         return replace(found, lower_bound=found.lower_bound + 0.3 * abs(found.lower_bound))
 
     assert kinds() == set()
-    monkeypatch.setattr(validity, "relax_subset", wrong)
+    monkeypatch.setattr(adversaries, "relax_subset", wrong)
     assert "root bound above a cost" in kinds()
 
 
 def test_a_false_proof_of_infeasibility_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    true = validity.relax_subset
-    monkeypatch.setattr(validity, "relax_subset", lambda i: replace(true(i), infeasible=True))
+    true = adversaries.relax_subset
+    monkeypatch.setattr(adversaries, "relax_subset", lambda i: replace(true(i), infeasible=True))
     assert "root infeasible with a plan" in kinds()
 
 
@@ -161,12 +168,12 @@ def test_a_box_that_leaves_out_a_plan_is_found(monkeypatch: pytest.MonkeyPatch) 
         middle = box.temperature.lo + 0.2 * box.temperature.width
         return replace(box, temperature=Interval(box.temperature.lo, middle))
 
-    monkeypatch.setattr(validity, "make_box", narrow)
+    monkeypatch.setattr(adversaries, "make_box", narrow)
     assert "plan outside the root box" in kinds()
 
 
 def test_a_wrong_row_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    true = validity.build_relaxation
+    true = adversaries.build_relaxation
 
     def wrong(instance: Instance, box: Box) -> Any:
         program = true(instance, box)
@@ -177,32 +184,32 @@ def test_a_wrong_row_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
             b[: program.n_zero] += 1e-3
         return replace(program, b=b)
 
-    monkeypatch.setattr(validity, "build_relaxation", wrong)
+    monkeypatch.setattr(adversaries, "build_relaxation", wrong)
     assert "plan breaks a row" in kinds()
 
 
 def test_a_wrong_tightening_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
     """Reachability that forgets part of what is reachable: the boxes lose the plans."""
-    true = validity.proof_steps.build_relaxation
+    true = adversaries.proof_steps.build_relaxation
 
     def wrong(instance: Instance, box: Box, *more: Any, **named: Any) -> Any:
         middle = box.temperature.hi - 0.5 * box.temperature.width
         lost = replace(box, temperature=Interval(box.temperature.lo, middle))
-        validity.proof_steps.propagate(instance, lost)
+        adversaries.proof_steps.propagate(instance, lost)
         return true(instance, box, *more, **named)
 
-    monkeypatch.setattr(validity.proof_steps, "build_relaxation", wrong)
+    monkeypatch.setattr(adversaries.proof_steps, "build_relaxation", wrong)
     assert "plan outside a tightened box" in kinds()
 
 
 def test_a_false_proof_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    true = validity.tighten.prove
+    true = adversaries.tighten.prove
 
     def wrong(instance: Instance, cutoff: float, **named: Any) -> Any:
         proof = true(instance, cutoff, **named)
         return replace(proof, closed=True, lower_bound=max(proof.lower_bound, cutoff))
 
-    monkeypatch.setattr(validity.tighten, "prove", wrong)
+    monkeypatch.setattr(adversaries.tighten, "prove", wrong)
     assert {"closed with a plan below", "proof above above a cost"} <= kinds()
 
 
@@ -212,17 +219,85 @@ def test_a_certifier_that_trusts_its_vector_is_found(monkeypatch: pytest.MonkeyP
         size = min(z.size, program.b.size)
         return LowerBound(program.constant - float(program.b[:size] @ z[:size]))
 
-    monkeypatch.setattr(validity, "certify_lower_bound", wrong)
+    monkeypatch.setattr(adversaries, "certify_lower_bound", wrong)
     found = kinds()
     assert "unusable vector accepted" in found and "bound is not a number" in found
     assert any(k.startswith("attack") and k.endswith("above a cost") for k in found)
+
+
+STAGES = Effort(drives=6, closings=2, advances=12, stages_s=20.0)
+"""Enough for boxes of stages to be shrunk, on a trip with one charger."""
+
+
+def stage_kinds(seed: int) -> set[str]:
+    """Return what is found by proofs over stages alone, held against random drives."""
+    trip, rng, audit = random_trip(seed), np.random.default_rng(seed), Audit()
+    drive = make_drive(trip, trip.grid.step_km)
+    nodes = []
+    for subset in ((), (0,)):
+        known = rivals.Known(make_instance(trip, subset, trip.grid, drive))
+        rivals.drive_at_random(known, rng, STAGES)
+        rivals.refine_at_random(known, rng, STAGES)
+        nodes.append(known)
+    stage_claims.audit_stages(audit, trip, drive, nodes, rng, STAGES)
+    assert audit.counts["stage_paths"] > 0
+    return {f.kind for f in audit.findings}
+
+
+STAGE_SEED = 8
+"""A trip with one charger that has plans, none of them without it, and whose proof shrinks."""
+
+
+def raised_cost(true: Any) -> Any:
+    def wrong(self: StageProgram, slope: Any, z: Any) -> float:
+        value = float(true(self, slope, z))
+        return value + 0.05 * abs(value)
+
+    return wrong
+
+
+def always_empty(_: Any) -> Any:
+    return lambda self, z, budget=None: True
+
+
+def raised_quantity(true: Any) -> Any:
+    return lambda self, *claimed: true(self, *claimed) + 8.0
+
+
+def lowered_budget(true: Any) -> Any:
+    def wrong(self: StageGraph, *place: Any) -> Any:
+        plane = true(self, *place)
+        return plane._replace(constant=plane.constant - 0.05 * abs(self.closing))
+
+    return wrong
+
+
+@pytest.mark.parametrize(
+    ("owner", "name", "fault", "kind"),
+    [
+        (StageProgram, "claim_cost", raised_cost, "bound of a stage above a cost"),
+        (StageProgram, "claim_cost", raised_cost, "bound of a vertex above a cost"),
+        (StageProgram, "claim_empty", always_empty, "plan without a path"),
+        (StageProgram, "claim_quantity", raised_quantity, "closed with a plan below"),
+        (StageGraph, "budget", lowered_budget, "plan without a path"),
+    ],
+)
+def test_a_false_claim_over_stages_is_found(
+    monkeypatch: pytest.MonkeyPatch, owner: Any, name: str, fault: Any, kind: str
+) -> None:
+    monkeypatch.setattr(owner, name, fault(getattr(owner, name)))
+    assert any(found.endswith(kind) for found in stage_kinds(STAGE_SEED))
+
+
+def test_true_claims_over_stages_are_not_found() -> None:
+    assert stage_kinds(STAGE_SEED) == set()
 
 
 def test_an_exception_is_a_finding(monkeypatch: pytest.MonkeyPatch) -> None:
     def broken(*_: Any, **__: Any) -> Any:
         raise RuntimeError("on purpose")
 
-    monkeypatch.setattr(validity, "plan", broken)
+    monkeypatch.setattr(adversaries, "plan", broken)
     (finding,) = audit_trip(FAULTY, SMALL).findings
     assert finding.kind == "exception" and "on purpose" in finding.detail
 
@@ -263,7 +338,7 @@ def test_the_campaign_fails_on_a_finding_and_names_the_seed(
     def broken(*_: Any, **__: Any) -> Any:
         raise RuntimeError("on purpose")
 
-    monkeypatch.setattr(validity, "plan", broken)
+    monkeypatch.setattr(adversaries, "plan", broken)
     file = tmp_path / "validity.csv"
     assert main(["--trips", "1", "--first", "9", "--file", str(file)]) == 1
     assert "python -m benchmarks.validity --seed 9" in capsys.readouterr().err
@@ -272,7 +347,7 @@ def test_the_campaign_fails_on_a_finding_and_names_the_seed(
     assert main(["--seed", "9"]) == 1
 
 
-@pytest.mark.parametrize("module", [random_trips, validity])
+@pytest.mark.parametrize("module", [random_trips, validity, adversaries, rivals, stage_claims])
 def test_examples_in_the_docstrings(module: Any) -> None:
     outcome = doctest.testmod(module, optionflags=doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE)
     assert outcome.attempted > 0 and outcome.failed == 0
