@@ -188,6 +188,8 @@ class Account:
         for key, family in families.items():
             if not family.bounds:
                 continue  # cut into parts that speak for it
+            if not key[1] and key[2][0] > len(key[0]):
+                continue  # a part with more stops than chargers are left: it has no members
             bound = min(family.bounds)
             outcome, reason = Outcome.UNPROVED, "not closed"
             if family.infeasible:
@@ -227,7 +229,8 @@ class Account:
 
 def _key(leaf: Leaf) -> Key:
     n = len(leaf.subset)
-    return leaf.subset, leaf.undecided, leaf.count if leaf.undecided else (n, n)
+    decided = not leaf.undecided and leaf.count[0] <= n
+    return leaf.subset, leaf.undecided, (n, n) if decided else leaf.count
 
 
 def _joined(row: Row, family: Row) -> Row:

@@ -16,7 +16,7 @@ from enumerate.account import Account
 from enumerate.ledger import Ledger, Outcome, Row
 from enumerate.result import Status
 from enumerate.search import Progress, plan
-from enumerate.tree import Leaf, examine, make_roots
+from enumerate.tree import Examined, Leaf, examine, make_roots
 from relax.bound import relax_subset
 from relax.branch import Branch, Target, branch, decide, limit_count
 from relax.instance import Instance, make_instance
@@ -323,3 +323,14 @@ def test_a_stop_that_cannot_be_used_stays_out_of_the_way() -> None:
             box = propagate(instance, box)
         assert box.charge.hi[never] == pytest.approx(before.hi[never], abs=1e-4)
         assert build_relaxation(instance, box).q.size > 0
+
+
+def test_a_part_without_members_says_nothing_of_the_subset_it_is_left_with() -> None:
+    """Two chargers used, none undecided, three stops asked for: not the subset of those two."""
+    account = Account(3, keep_proofs=False)
+    leaf = Leaf((0, 1), (), 10.0, None, (3, 3), number=7)
+    done = Examined(leaf, inf, True, True, None, (), (), (), None, 0, 0.0, 0.0)
+    account.enter(done, cutoff=100.0)
+    assert account.rows({}, cutoff=100.0) == []
+    known = Row((0, 1), Outcome.PLANNED, 50.0, 40.0)
+    assert account.rows({(0, 1): known}, cutoff=100.0) == [known]
