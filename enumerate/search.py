@@ -54,14 +54,14 @@ MAX_CHARGERS = 64
 FEW_CHARGERS = 4
 """Up to this many chargers every subset is relaxed by itself; with more, families are: 32
 relaxations of single subsets take longer than the families of five chargers."""
-FURTHER = 3
-"""Cheapest subsets that get further starts where there are many chargers: with 20, seven of them
+FURTHER = 1
+"""Cheapest subsets that get further starts where there are many chargers: with 20, those of seven
 took a third of the time of a plan and gained 0.001 %."""
 STAGES_FROM = 9
 """From this many chargers on, all plans together are bounded stage by stage first."""
 STAGES_STOPS = 3
 """The same if the best plan has this many stops: cutting a subset multiplies over its stops."""
-MOST_PATHS = 16
+MOST_PATHS = 4
 """Subsets planned because a path of stages used them."""
 MAX_PLANNED = 10
 """Up to this many chargers all subsets can be planned (``prune=False``)."""

@@ -36,13 +36,13 @@ FIRST_CELL_KWH = 15.0
 """Cells wider than this are halved before the first planes are taken [kWh]."""
 TRIAL_C = 22.0
 """Temperature at which first planes touch: that of a battery which has just been charged."""
-RISE = 1e-3
+RISE = 1.5e-3
 """Share of the cost by which a target's planes must rise for a stage to be solved again, and
 below which a path gains too little."""
 NONCONVEX = 5e-4
 """Share of the cost by which planes may miss the least of a vertex's arcs, which no plane reaches,
 before the vertex is cut."""
-NEAR = 0.06
+NEAR = 0.04
 """Share of the cost that is missing at most where boxes are shrunk: before, that gains little."""
 AGAIN = 0.5
 """Boxes are shrunk again when this share is left of what was missing."""
