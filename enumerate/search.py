@@ -57,7 +57,7 @@ relaxations of single subsets take longer than the families of five chargers."""
 FURTHER = 1
 """Cheapest subsets that get further starts where there are many chargers: with 20, those of seven
 took a third of the time of a plan and gained 0.001 %."""
-STAGES_FROM = 9
+STAGES_FROM = 17
 """From this many chargers on, all plans together are bounded stage by stage first."""
 STAGES_STOPS = 3
 """The same if the best plan has this many stops: cutting a subset multiplies over its stops."""
