@@ -15,7 +15,7 @@ from benchmarks.contestants import CONTESTANTS, FAST, OURS
 from benchmarks.probe import PARTS
 from benchmarks.rows import Row, is_true, number
 from benchmarks.scale import curves
-from benchmarks.summary import best_costs, excess, latest, peer_s
+from benchmarks.verdicts import best_costs, excess, latest, peer_s
 from enumerate.gap import relative_gap
 
 if TYPE_CHECKING:
@@ -53,6 +53,22 @@ def _figure(width: float, height: float) -> Figure:
     return Figure(figsize=(width, height), layout="constrained")
 
 
+def _plain_ticks(ax: Axes) -> None:
+    """Write 0.1 rather than a power of ten."""
+    from matplotlib.ticker import FormatStrFormatter, LogFormatter
+
+    class Plain(LogFormatter):
+        """Labels only where a decade is not spanned."""
+
+        def __call__(self, x: float, pos: int | None = None) -> str:
+            return f"{x:g}" if super().__call__(x, pos) else ""
+
+    for axis in (ax.xaxis, ax.yaxis):
+        if axis.get_scale() == "log":
+            axis.set_major_formatter(FormatStrFormatter("%g"))
+            axis.set_minor_formatter(Plain())
+
+
 def _look(name: str) -> dict[str, Any]:
     at = [c.name for c in CONTESTANTS].index(name)
     return {"color": COLOURS[at % len(COLOURS)], "marker": MARKERS[at % len(MARKERS)]}
@@ -86,6 +102,7 @@ def cost_against_time(rows: list[Row], summary: Row) -> Figure:
         xlabel="time [s]: ours everything, peers building and solving",
         ylabel=f"cost above the best known [%]\n({LEAST_EXCESS:g} or less at the bottom)",
     )
+    _plain_ticks(ax)
     figure.legend(loc="outside right upper")
     return figure
 
@@ -122,6 +139,7 @@ def gap_against_time(rows: list[Row], summary: Row) -> Figure:
     if asked:
         ax.axhline(100.0 * asked, color="#999999", linewidth=0.7, linestyle="--")
     ax.set(xscale="log", yscale="log", xlabel="time [s]", ylabel="proved gap [%]")
+    _plain_ticks(ax)
     if ax.get_legend_handles_labels()[0]:
         figure.legend(loc="outside right upper")
     return figure
@@ -150,18 +168,20 @@ def correct_rate(summary: Row) -> Figure:
 
 def time_ratios(summary: Row) -> Figure:
     """Draw every peer's time as a multiple of ours, with and without its model building."""
-    names = [n for n, a in summary["against"].items() if a["timed"]]
-    figure = _figure(6.3, 0.7 + 0.3 * max(len(names), 1))
+    against = [a for a in summary["against"] if a["timed"]]
+    names = [f"{a['peer']} / {a['ours']}" for a in against]
+    figure = _figure(6.3, 0.7 + 0.24 * max(len(names), 1))
     ax = figure.subplots()
-    for at, name in enumerate(names):
+    for at, entry in enumerate(against):
         for way, shift, colour in (("with", -0.15, "#0072B2"), ("without", 0.15, "#E69F00")):
-            values = list(summary["against"][name][f"ratios_{way}_build"].values())
+            values = list(entry[f"ratios_{way}_build"].values())
             label = f"{way} building" if at == 0 else None
             ax.scatter(
                 values, [at + shift] * len(values), s=9, alpha=0.6, color=colour, label=label
             )
     ax.axvline(1.0, color="#999999", linewidth=0.7)
     ax.set(xscale="log", xlabel="time as a multiple of ours")
+    _plain_ticks(ax)
     ax.set_yticks(range(len(names)), names)
     ax.invert_yaxis()
     figure.legend(loc="outside upper center", ncols=2)
@@ -193,6 +213,8 @@ def growth(rows: list[Row]) -> Figure:
         _scales(time, sweep)
         _scales(memory, sweep)
         time.set_yscale("log")
+        _plain_ticks(time)
+        _plain_ticks(memory)
         time.legend()
         memory.set_xlabel(sweep)
     grid[0][0].set_ylabel("time [s], x: time limit")
@@ -220,6 +242,7 @@ def where_it_goes(rows: list[Row]) -> Figure:
         + ("" if r["sweep"] == "gap" or not number(r, "asked_gap") > 0.0 else ", gap")
         for r in points
     ]
+    ax.margins(y=0.01)
     ax.set_yticks(range(len(points)), words)
     ax.tick_params(axis="y", labelsize=5)
     ax.invert_yaxis()
@@ -260,7 +283,7 @@ def draw_all(
                 "cost-time": cost_against_time(rows, summary),
                 "correct": correct_rate(summary),
             }
-            if any(a["timed"] for a in summary["against"].values()):
+            if any(a["timed"] for a in summary["against"]):
                 figures["ratios"] = time_ratios(summary)
             if OURS in summary["solvers"]:
                 figures["gap-time"] = gap_against_time(rows, summary)

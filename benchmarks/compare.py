@@ -16,7 +16,7 @@ import argparse
 import json
 import sys
 from collections.abc import Callable
-from datetime import date
+from datetime import UTC, date, datetime
 from math import inf, isfinite
 from pathlib import Path
 from statistics import median
@@ -49,9 +49,10 @@ COLUMNS = (
     "steps", "cells", *KEY[2:], "kind", "outcome", "message", "subset", "claimed_cost",
     "transcribed_cost", "replayed_cost", "feasible", "claims_infeasible", "lower_bound",
     "charging_h", "detour_h", "grid_kwh", "paid", *TIMES, "replay_s", "runs_s", "subsets",
-    "programs", "trace", "judge", "date", "processor", "versions",
+    "programs", "trace", "judge", "date", "run", "processor", "versions",
 )  # fmt: skip
-"""Columns of the result file. ``outcome`` is the judge's, or ``stopped`` without an answer."""
+"""Columns of the result file. ``outcome`` is the judge's, or ``stopped`` without an answer;
+``run`` is when the command was started: times within one took turns."""
 Run = Callable[[Case, Contestant, Limits], Row]
 
 
@@ -197,6 +198,7 @@ def compare(
     where = {
         "judge": code_digest("benchmarks.judge", ("benchmarks", "relax")),
         "date": date.today().isoformat(),
+        "run": datetime.now(UTC).isoformat(timespec="minutes"),
         "processor": processor(),
         "versions": " ".join(f"{k}={v}" for k, v in versions().items()),
     }

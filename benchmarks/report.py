@@ -12,9 +12,13 @@ from __future__ import annotations
 import argparse
 import os
 import sys
+from collections.abc import Iterable
 from pathlib import Path
 
+from benchmarks import scale
+from benchmarks.asked import asked, asked_section, missed
 from benchmarks.charts import draw_all
+from benchmarks.contestants import FAST, OURS
 from benchmarks.rows import RESULTS, Row, read_rows
 from benchmarks.sections import (
     case_section,
@@ -36,48 +40,71 @@ __all__ = ["losses", "main", "page"]
 ROOT = Path(__file__).parent.parent
 
 
-def losses(summary: Row) -> str:
+def _times(summary: Row, ours: str) -> list[str]:
+    """Return sentences on who is faster than one of ours."""
+    ways: dict[str, list[str]] = {"with": [], "without": []}
+    rules = []
+    for a in summary["against"]:
+        if a["ours"] != ours:
+            continue
+        name, n = a["peer"], a["timed"]
+        if a["kind"] == "rule":
+            if a["faster_with_build"]:
+                rules.append(f"`{name}` in {len(a['faster_with_build'])} of {n}")
+            continue
+        for way, found in ways.items():
+            faster = a[f"faster_{way}_build"]
+            if faster and (way == "with" or set(faster) > set(a["faster_with_build"])):
+                found.append(
+                    f"`{name}` in {len(faster)} of {n} (down to "
+                    f"{plain(a[f'least_ratio_{way}_build'], 3)} of our time)"
+                )
+    said = []
+    if ways["with"]:
+        said.append(f"**Time** of `{ours}`, their model building included: "
+                    + "; ".join(ways["with"]) + ".")  # fmt: skip
+    if ways["without"]:
+        said.append(f"**Time** of `{ours}`, if their model is built before: "
+                    + "; ".join(ways["without"]) + ".")  # fmt: skip
+    if rules:
+        said.append("Rules that optimise nothing are faster, too: " + "; ".join(rules) + ".")
+    return said
+
+
+def losses(summary: Row, entries: Iterable[Row] = (), scale_rows: Iterable[Row] = ()) -> str:
     """Return the paragraph that says where evrelax is beaten.
 
     Parameters
     ----------
     summary : dict
         From ``summarise``.
+    entries : iterable of dict
+        From ``asked``: what is not reached is said, too.
+    scale_rows : iterable of dict
+        Of ``benchmarks.scale``: where no plan came is said, too.
 
     Returns
     -------
     str
-        One paragraph: time, cost, plans, bounds, asked gaps, own claims.
+        One paragraph: time, cost, plans, bounds, asked gaps, own claims, what was asked for.
     """
-    faster, faster_solving, cheaper, alone, tighter = [], [], [], [], []
-    for name, a in summary["against"].items():
-        n = a["timed"]
-        if a["faster_with_build"]:
-            faster.append(
-                f"`{name}` in {len(a['faster_with_build'])} of {n} (down to "
-                f"{plain(a['least_ratio_with_build'], 3)} of our time)"
-            )
-        only = [c for c in a["faster_without_build"] if c not in a["faster_with_build"]]
-        if only:
-            faster_solving.append(
-                f"`{name}` in {len(a['faster_without_build'])} of {n} (down to "
-                f"{plain(a['least_ratio_without_build'], 3)})"
-            )
-        if a["cheaper"]:
+    said = [*_times(summary, OURS), *_times(summary, FAST)]
+    cheaper: list[str] = []
+    alone: list[str] = []
+    tighter: list[str] = []
+    for name in dict.fromkeys(a["peer"] for a in summary["against"]):
+        own = [a for a in summary["against"] if a["peer"] == name]
+        at = max(own, key=lambda a: float(a["cheaper_by"]))
+        if at["cheaper"]:
             cheaper.append(
-                f"`{name}` in {len(a['cheaper'])} of {a['cases']} (by up to "
-                f"{percent(a['cheaper_by'], 3)}, `{a['cheapest_case']}`)"
+                f"`{name}` in {len(at['cheaper'])} of {at['cases']} (by up to "
+                f"{percent(at['cheaper_by'], 3)}, `{at['cheapest_case']}`"
+                + (", once our refinement has repaired it)" if at["cheapest_repaired"] else ")")
             )
-        if a["plan_only_there"]:
-            alone.append(f"`{name}` in {some(a['plan_only_there'])}")
-        if a["tighter"]:
-            tighter.append(f"`{name}` in {some(a['tighter'])}")
-    said = []
-    if faster:
-        said.append("**Time**, their model building included: " + "; ".join(faster) + ".")
-    if faster_solving:
-        said.append("**Time**, only if their model is built before: " + "; ".join(faster_solving)
-                    + ".")  # fmt: skip
+        for found, key in ((alone, "plan_only_there"), (tighter, "tighter")):
+            cases = sorted({case for a in own for case in a[key]})
+            if cases:
+                found.append(f"`{name}` in {some(cases)}")
     if cheaper:
         said.append("**Cost**, as judged: cheaper plans have " + "; ".join(cheaper) + ".")
     if alone:
@@ -110,6 +137,17 @@ def losses(summary: Row) -> str:
                 f"**Wrong proofs**: `{name}` calls {s['wrongly_infeasible']} cases infeasible that"
                 " have a plan."
             )
+    broken = [
+        f"{row['sweep']} {float(row['value']):g} ({row['ended']}: {row['message']})"
+        for own in scale.curves(scale_rows).values()
+        for row in own
+        if row["ended"] not in ("done", "limit")
+    ]
+    if broken:
+        said.append("**No plan** in the sweeps below: " + "; ".join(broken) + ".")
+    short = missed(entries)
+    if short:
+        said.append("**Asked for and not reached**: " + "; ".join(short) + ".")
     if not said:
         return (
             f"**Where evrelax loses:** in none of the {summary['cases']} cases of these rows is a"
@@ -144,7 +182,9 @@ def page(
     if not rows:
         raise ValueError("no rows of the comparison: run python -m benchmarks.compare first")
     summary = summarise(rows)
+    entries = asked(summary, rows, floor_rows)
     sections: list[tuple[list[str], tuple[tuple[str, str], ...]]] = [
+        (asked_section(entries), ()),
         (contestants_section(summary), ()),
         (
             claims_section(summary),
@@ -165,7 +205,13 @@ def page(
     if floor_rows:
         sections.append((floor_section(floor_rows), ()))
     sections.append((case_section(rows), ()))
-    lines = ["# Benchmark: evrelax and others", "", losses(summary), "", *head(summary, command)]
+    lines = [
+        "# Benchmark: evrelax and others",
+        "",
+        losses(summary, entries),
+        "",
+        *head(summary, command),
+    ]
     for text, shown in sections:
         if text:
             lines += ["", *text]
@@ -200,7 +246,8 @@ def main(arguments: list[str] | None = None) -> int:
     }
     target.parent.mkdir(parents=True, exist_ok=True)
     target.write_text(page(rows, scale_rows, floor_rows, links), encoding="utf-8")
-    print(losses(summarise(rows)))
+    summary = summarise(rows)
+    print(losses(summary, asked(summary, rows, floor_rows), scale_rows))
     return 0
 
 

@@ -22,6 +22,7 @@ from relax.trip import Trip
 
 __all__ = [
     "ASKED_GAP",
+    "TIME_LIMIT",
     "Answer",
     "Limits",
     "run_bonmin",
@@ -33,6 +34,8 @@ __all__ = [
 ]
 
 EXECUTE = "relax.execute.execute"
+TIME_LIMIT = "time limit"
+"""Said by an enumeration that did not get to its end."""
 ASKED_GAP = 0.01
 """Relative gap that who gives bounds is asked to prove."""
 Trace = tuple[tuple[float, float, float], ...]
@@ -146,7 +149,7 @@ def _with_plan(answer: Answer, **entries: Any) -> Answer:
 def run_enumerated(
     trip: Trip, limits: Limits, solver: str, multi_start: bool, integrator: str
 ) -> Answer:
-    """IPOPT or FATROP over all choices of stops; without a time limit of its own."""
+    """IPOPT or FATROP over all choices of stops, few stops first, until the time limit."""
     from benchmarks.reference.peer import CAREFUL, FAST
     from benchmarks.reference.search import reference_best
 
@@ -160,8 +163,9 @@ def run_enumerated(
 
     settings = CAREFUL if multi_start else FAST
     found = reference_best(
-        trip, solver, multi_start, progress=note, settings=settings, integrator=integrator
-    )
+        trip, solver, multi_start, progress=note, settings=settings, integrator=integrator,
+        time_limit_s=limits.time_s,
+    )  # fmt: skip
     best = found.best
     return Answer(
         subset=found.best_subset,
@@ -170,9 +174,10 @@ def run_enumerated(
         build_s=found.build_s,
         solve_s=found.solve_s,
         judge_s=found.judge_s,
-        subsets=2 ** len(trip.chargers),
+        subsets=2 ** len(trip.chargers) - found.left,
         programs=len(found.rows),
-        message=f"{sum(not row['feasible'] for row in found.rows)} solves failed",
+        message=f"{sum(not row['feasible'] for row in found.rows)} solves failed"
+        + (f", {TIME_LIMIT} with {found.left} choices left" if found.left else ""),
         trace=tuple(trace),
     )
 

@@ -10,9 +10,10 @@ from collections.abc import Iterable
 
 from benchmarks import floor, scale
 from benchmarks.cases import GROUPS, SEEDS
+from benchmarks.compare import REPEAT_BELOW_S
 from benchmarks.contestants import CONTESTANTS, FAST, OURS
 from benchmarks.rows import Row, is_true, number
-from benchmarks.summary import latest
+from benchmarks.verdicts import latest
 from enumerate.gap import relative_gap
 
 __all__ = [
@@ -54,6 +55,7 @@ def head(summary: Row, command: str) -> list[str]:
     dates = summary["dates"]
     when = dates[0] if len(dates) == 1 else f"{dates[0]} to {dates[-1]}"
     machine, packages = "; ".join(summary["processors"]), "; ".join(summary["versions"])
+    packages = packages.replace(" evrelax=not installed", "")  # run from a checkout
     return [
         f"Written by `{command}`; do not edit. Measured on {when} on {machine} with {packages}."
         " One thread, one core. The machine may be shared and noisy: ratios say more than times.",
@@ -132,40 +134,55 @@ def time_section(summary: Row) -> list[str]:
         "",
         f"Geometric means of time + {summary['shift_s']:g} s, less {summary['shift_s']:g} s, over"
         " all cases that gave an answer; *slowest* and *sum* over the same. Of the peers this"
-        " counts all they do, correcting their plan on the tables included.",
+        " counts all they do, correcting their plan on the tables included. *Cut*: the time limit"
+        " came before the end; *stopped*: no answer at all. A run is repeated twice if it takes"
+        f" less than {REPEAT_BELOW_S:g} s, in turns with all others on that case; then the median"
+        " counts.",
         "",
-        "| solver | answers | mean s | slowest s | sum s | programs, median | stopped |",
-        "|---|---:|---:|---:|---:|---:|---:|",
+        "| solver | answers | mean s | slowest s | sum s | programs, median | cut | stopped |",
+        "|---|---:|---:|---:|---:|---:|---:|---:|",
     ]
     for name, s in summary["solvers"].items():
         lines.append(
             f"| `{name}` | {s['cases'] - s['stopped']} | {plain(s['time_s'], 3)} "
             f"| {plain(s['slowest_s'])} | {plain(s['sum_s'], 1)} "
-            f"| {plain(s['median_programs'], 0)} | {s['stopped']} |"
+            f"| {plain(s['median_programs'], 0)} | {s['cut']} | {s['stopped']} |"
         )
     if summary["against"]:
         lines += [
             "",
             "Their time as a multiple of ours where both have a plan (above 1: we are faster)."
             " Theirs is building and solving, or solving alone; ours is everything: bounds, plan"
-            f" and drive. Who gives bounds is compared with `{OURS}` where its proof is complete,"
-            f" who gives none with `{FAST}`.",
+            f" and drive. Compared with `{OURS}` are the cases in which its proof is complete, and"
+            f" the peer's too if it gives bounds; who proves nothing is compared with `{FAST}` as"
+            " well. *In one run*: both were measured by one command, taking turns; the times of the"
+            " other cases come from different hours. Enumerations that were cut count with their"
+            " time until then, which is less than they need. A peer builds its model anew for every"
+            " trip: its building is what a user waits for, solving alone is what were left if it"
+            " could be kept.",
             "",
-            "| peer | against | cases | with building: geometric mean (least to largest)"
-            " | solving alone | cheaper there | cheaper here | plan only there | only here |",
-            "|---|---|---:|---:|---:|---:|---:|---:|---:|",
+            "| peer | against | cases | in one run | with building: geometric mean"
+            " (least to largest) | solving alone | cheaper there | cheaper here"
+            " | plan only there | only here |",
+            "|---|---|---:|---:|---:|---:|---:|---:|---:|---:|",
         ]
-    for name, a in summary["against"].items():
+    for a in summary["against"]:
         ratio = [
             f"{plain(a[f'ratio_{way}_build'])} ({plain(a[f'least_ratio_{way}_build'], 3)} to "
             f"{plain(a[f'largest_ratio_{way}_build'])})"
             for way in ("with", "without")
         ]
         lines.append(
-            f"| `{name}` | `{a['ours']}` | {a['timed']} | {ratio[0]} | {ratio[1]} "
-            f"| {len(a['cheaper'])} | {len(a['dearer'])} | {len(a['plan_only_there'])} "
-            f"| {len(a['plan_only_here'])} |"
+            f"| `{a['peer']}` | `{a['ours']}` | {a['timed']} | {len(a['together'])} "
+            f"| {ratio[0]} | {ratio[1]} | {len(a['cheaper'])} | {len(a['dearer'])} "
+            f"| {len(a['plan_only_there'])} | {len(a['plan_only_here'])} |"
         )
+    lines += [
+        "",
+        "In the picture of gaps below, one that grows again means that a plan was refused when it"
+        " was driven, that a part of a box has a looser bound than the box, or that a phase of the"
+        " search reports its own bound only.",
+    ]
     return lines
 
 
@@ -241,6 +258,11 @@ def case_section(rows: Iterable[Row]) -> list[str]:
     return lines
 
 
+def _code(rows: list[Row]) -> str:
+    """Return which code rows were measured with."""
+    return " Versions: " + "; ".join(dict.fromkeys(row["version"] for row in rows)) + "."
+
+
 def growth_section(rows: list[Row]) -> list[str]:
     """Return how time and memory grow."""
     return [
@@ -249,7 +271,7 @@ def growth_section(rows: list[Row]) -> list[str]:
         f"`python -m benchmarks.scale`: one trip of `paper-400km` ({scale.BASE[0]:g} C, heat pump"
         f" {scale.BASE[1]:g} kW, {scale.BASE[2]:g} SEK/h), one thing varied at a time. Each"
         " point in a process of its own; memory is its peak. What the time limit stopped counts in"
-        " no fit.",
+        " no fit." + _code(rows),
         "",
         scale.fits_table(scale.fits(rows)),
         "",
@@ -271,7 +293,7 @@ def floor_section(rows: list[Row]) -> list[str]:
         "",
         "`python -m benchmarks.floor`: with the programs we solve, the time that Clarabel itself"
         " reports for them (its setup included) cannot be avoided. *In its calls* adds handing the"
-        " data over; *all* is the whole plan.",
+        " data over; *all* is the whole plan." + _code(rows),
         "",
         floor.table(floor.summarise(rows)),
     ]

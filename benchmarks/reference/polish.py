@@ -26,6 +26,8 @@ SLACK_TOLERANCE_KWH = 1e-6
 """Energy beyond the least one that is not worth another simulation [kWh]."""
 FULL_POWER = 0.99
 """A planned power above this share of what the tables allow is meant as all they allow."""
+LEAST_POWER_KW = 1e-3
+"""Charging power at least; what charges more slowly misses every limit of time [kW]."""
 MAX_ROUNDS = 12
 """Bound on simulations; each leaves about a twentieth of the error."""
 
@@ -55,11 +57,29 @@ def _charge_more(controls: Controls, stop: int, energy_kwh: float) -> Controls:
     return replace(controls, stops=tuple(changed))
 
 
+def _possible(controls: Controls) -> Controls:
+    """Return controls whose stops charge something at some power.
+
+    A solver that gives up leaves a point outside its bounds, with energies below zero and
+    cells without power.
+    """
+    stops = tuple(
+        replace(
+            s,
+            energy_kwh=max(s.energy_kwh, MIN_CHARGE_KWH),
+            power_kw=np.maximum(s.power_kw, LEAST_POWER_KW),
+        )
+        for s in controls.stops
+    )
+    return replace(controls, stops=stops)
+
+
 def release(instance: Instance, controls: Controls) -> Controls:
     """Replace charging powers that are at a limit by infinity: as fast as allowed.
 
     On the tables, and when driven, the limit is not quite the splines'; the plan means
-    the limit, not the number.
+    the limit, not the number. Stops of a solver that gave up are made such that they can be
+    driven at all.
 
     Examples
     --------
@@ -69,6 +89,7 @@ def release(instance: Instance, controls: Controls) -> Controls:
     >>> bool(np.isinf(release(instance, controls).stops[0].power_kw).all())
     True
     """
+    controls = _possible(controls)
     unlimited = tuple(replace(s, power_kw=np.full_like(s.power_kw, np.inf)) for s in controls.stops)
     free = simulate(instance, replace(controls, stops=unlimited)).stops
     return replace(

@@ -11,7 +11,9 @@ import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from itertools import chain, combinations
+from math import inf
 from pathlib import Path
+from time import perf_counter
 from typing import Any
 
 import numpy as np
@@ -44,6 +46,8 @@ class Reference:
         One per solve: subset, start, status, costs, times.
     build_s, solve_s, judge_s : float
         Sums over all subsets [s].
+    left : int
+        Subsets, large ones, that the time limit left out.
     """
 
     solver: str
@@ -53,6 +57,7 @@ class Reference:
     build_s: float
     solve_s: float
     judge_s: float
+    left: int = 0
 
 
 def all_subsets(count: int) -> list[tuple[int, ...]]:
@@ -129,6 +134,7 @@ def reference_best(
     progress: Callable[[dict[str, Any]], None] | None = None,
     settings: Mapping[str, PeerSettings] = FAST,
     integrator: str = "midpoint",
+    time_limit_s: float = inf,
 ) -> Reference:
     """Return the best plan over all 2^N subsets.
 
@@ -148,6 +154,8 @@ def reference_best(
         How the solver is run, by its name.
     integrator : str
         ``midpoint`` or ``rk4``.
+    time_limit_s : float
+        No further subset is begun after it [s].
 
     Returns
     -------
@@ -164,11 +172,15 @@ def reference_best(
     >>> reference.best_subset, len(reference.rows), reference.best.feasible
     ((0,), 1, True)
     """
+    begin = perf_counter()
     drive = make_drive(trip, trip.grid.step_km)
-    stages = None
+    stages, left = None, 0
     rows: list[dict[str, Any]] = []
     best: tuple[Run, tuple[int, ...]] | None = None
     for subset in all_subsets(len(trip.chargers)):
+        if perf_counter() - begin > time_limit_s:
+            left += 1
+            continue
         instance = make_instance(trip, subset, drive=drive)
         if is_out_of_reach(instance):
             continue
@@ -198,4 +210,5 @@ def reference_best(
         build_s=sum(r["build_s"] for r in rows),
         solve_s=sum(r["solve_s"] for r in rows),
         judge_s=sum(r["judge_s"] for r in rows),
+        left=left,
     )
