@@ -144,7 +144,7 @@ def test_the_page_names_what_there_is() -> None:
     section = page[page.index("## 7. Stages") :]
     assert set(re.findall(r"\| \((S\d+)\) \|", section)) == {f"S{i}" for i in range(1, 9)}
     files = [root / "relax" / "stage.py", root / "relax" / "stage_program.py"]
-    files += [root / "enumerate" / f"stage_{name}.py" for name in ("graph", "search")]
+    files += [root / "enumerate" / f"stage_{name}.py" for name in ("graph", "parts", "search")]
     code = "\n".join(f.read_text(encoding="utf-8") for f in files)
     named = re.findall(r"`(?:[\w.]*\.)?(?:StageGraph|StageProgram|Arc|stage)\.(\w+)`", section)
     assert len(named) >= 9
