@@ -108,7 +108,7 @@ def _drive_flow(instance: Instance, box: Box) -> tuple[Interval, Interval]:
 def _power(load: Array, r: Array, ripple: Array) -> Array:
     """``battery_power``, at most the power 1 / (2r) of the largest load the pack can serve."""
     largest = 0.25 / np.maximum(r, 1e-12) - r * ripple
-    return battery_power(np.minimum(load, largest - 1e-9 * (1.0 + largest)), r, ripple)
+    return battery_power(np.minimum(load, largest - 1e-9 * (1.0 + np.abs(largest))), r, ripple)
 
 
 def _stop_dwell(instance: Instance, box: Box) -> tuple[Interval, Array]:

@@ -334,3 +334,11 @@ def test_a_part_without_members_says_nothing_of_the_subset_it_is_left_with() -> 
     assert account.rows({}, cutoff=100.0) == []
     known = Row((0, 1), Outcome.PLANNED, 50.0, 40.0)
     assert account.rows({(0, 1): known}, cutoff=100.0) == [known]
+
+
+def test_a_battery_too_weak_for_the_road_has_a_box() -> None:
+    """Steps whose power varies more than the pack can serve at all: largest load below zero."""
+    trip = random_trip(783)
+    instance = make_instance(trip, ())
+    box = make_box(instance)
+    assert box.empty or np.isfinite(box.power.hi).all()
