@@ -178,9 +178,9 @@ class _Search:
         self.nodes[row.subset] = replace(node, row=row)
         return True
 
-    def _tell(self, phase: str, done: int, total: int, stages: float = -inf) -> None:
+    def _tell(self, phase: str, done: int, total: int) -> None:
         if self.report is not None:
-            bound = max(self.account.open_bound, stages)
+            bound = self.account.open_bound
             if bound == inf:  # no leaves yet: every subset speaks for itself
                 bound = min(n.row.lower_bound for n in self.nodes.values())
             self.report(Progress(phase, done, total, self.cost, bound))
@@ -282,7 +282,8 @@ class _Search:
         paths = 0
         try:
             for share in stages.run():
-                self._tell("stages, % of the gap", int(100.0 * share), 100, graph.lower_bound)
+                self.account.stage_bound = graph.lower_bound
+                self._tell("stages, % of the gap", int(100.0 * share), 100)
                 subset = tuple(sorted(family.stops[i].charger for i in stages.path))
                 paths += graph.closing - graph.bound < STAGE_NEAR * abs(graph.closing)
                 if paths % PATHS_EVERY == 1 and subset not in tried and len(tried) < MOST_PATHS:

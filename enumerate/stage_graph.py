@@ -209,6 +209,7 @@ class StageGraph:
         if arc.alive:
             arc.alive = False
             self._forget(arc)
+            arc.box = arc.parent_box = None
             arc.source.out.remove(arc)
             arc.target.into.remove(arc)
 

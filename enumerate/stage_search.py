@@ -348,10 +348,11 @@ class StageSearch:
     def _shrink(self, leg: _Leg) -> None:
         """Bound what is uncertain in a stage, over plans that may still matter."""
         graph, arc = self.graph, leg.arc
-        assert arc.box is not None
         if not arc.target.planes:
             return
         for target, signs in _quantities(arc):
+            if not arc.alive:
+                return
             interval: Interval = getattr(arc.box, target.name)
             if interval.width[target.index] < WORTH[target.name]:
                 continue
