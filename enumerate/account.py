@@ -65,6 +65,7 @@ class Account:
         self._families: dict[Key, _Family] = {}
         self._number = 0
         self._examined = 0
+        self._taken: dict[int, float] = {}  # bounds of leaves that are being examined
         self._rooted: set[Subset] = set()
         self._used: list[Subset] = []
 
@@ -72,7 +73,8 @@ class Account:
     def open_bound(self) -> float:
         """Least bound of all leaves, open or not, or that of all stages [currency]."""
         closed = [b for f in self._families.values() for b in f.bounds]
-        leaves = min([*closed, *(entry[0] for entry in self._open[:1])], default=inf)
+        still = [*(entry[0] for entry in self._open[:1]), *self._taken.values()]
+        leaves = min([*closed, *still], default=inf)
         return max(leaves, self.stage_bound)
 
     @property
@@ -120,11 +122,13 @@ class Account:
                 out.append(entry[2])
         for entry in aside:
             heapq.heappush(self._open, entry)
+        self._taken |= {leaf.number: leaf.bound for leaf in out}
         return out
 
     def put_back(self, leaves: Iterable[Leaf]) -> None:
         """Return leaves that were taken and not examined."""
         for leaf in leaves:
+            self._taken.pop(leaf.number, None)
             heapq.heappush(self._open, (leaf.bound, leaf.number, leaf))
 
     def enter_stages(self, graph: StageGraph, programs: int) -> None:
@@ -137,6 +141,7 @@ class Account:
     def enter(self, done: Examined, cutoff: float) -> None:
         """Enter what became of a leaf: its parts, or its last bound."""
         leaf = done.leaf
+        self._taken.pop(leaf.number, None)
         self._examined += 1
         self.programs += done.programs
         family = self._families.setdefault(_key(leaf), _Family())

@@ -6,6 +6,7 @@ import math
 import sys
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
+from itertools import pairwise
 
 import pytest
 from trips import small_trip
@@ -179,3 +180,13 @@ def test_a_refused_plan_reopens_what_was_closed_against_it(
     row = next(r for r in result.ledger.rows if r.subset == best.subset)
     assert row.outcome is Outcome.UNPROVED and "made up" in row.reason
     assert result.lower_bound <= best.cost
+
+
+def test_the_bound_shown_never_falls_and_never_exceeds_what_is_proved() -> None:
+    """Leaves that are being examined count until they are entered."""
+    shown: list[float] = []
+    trip = load_trip("goteborg-stockholm-summer")
+    result = plan(trip, gap=0.01, progress=lambda p: shown.append(p.lower_bound))
+    assert len(shown) > 10
+    assert max(shown) <= result.lower_bound * (1.0 + 1e-9)
+    assert all(later >= earlier - 1e-9 for earlier, later in pairwise(shown))
