@@ -15,8 +15,8 @@ from typing import Any
 
 from benchmarks.probe import PARTS, watch
 from enumerate import plan
+from enumerate.explore import Progress
 from enumerate.result import Status
-from enumerate.search import Progress
 from relax.plan import Controls
 from relax.trip import Trip
 

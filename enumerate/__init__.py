@@ -16,11 +16,12 @@ if TYPE_CHECKING:
     from enumerate.diagnose import Diagnosis
     from enumerate.evidence import ProofNode
     from enumerate.evidence_file import load_proofs, save_proofs
+    from enumerate.explore import Progress
     from enumerate.front import Front, FrontPoint
     from enumerate.ledger import Ledger, Outcome, Row
     from enumerate.pareto import pareto
     from enumerate.result import Result, Status
-    from enumerate.search import Progress, plan
+    from enumerate.search import plan
     from enumerate.show import format_result
     from enumerate.sweep import Sweep, SweepRow, sweep
 
@@ -57,7 +58,7 @@ export(
         "FrontPoint": "front",
         "Ledger": "ledger",
         "Outcome": "ledger",
-        "Progress": "search",
+        "Progress": "explore",
         "ProofNode": "evidence",
         "Result": "result",
         "Row": "ledger",

@@ -19,8 +19,8 @@ from enumerate.cli_studies import pareto, sweep
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
+    from enumerate.explore import Progress
     from enumerate.result import Result
-    from enumerate.search import Progress
     from relax.errors import InputError
     from relax.trip import Trip
 

@@ -265,7 +265,7 @@ def _rows(quiet: bool) -> Iterator[Callable[[int, int, SweepRow], None] | None]:
         yield None
         return
     from enumerate.cli import _bar
-    from enumerate.search import Progress
+    from enumerate.explore import Progress
 
     bars: list[Any] = []
 

@@ -16,6 +16,7 @@ from functools import partial
 from math import inf
 from typing import Literal, TypeVar
 
+from enumerate.explore import Progress
 from enumerate.front import CurvePoint, Cut, Front, FrontPoint, earliest_h, front_gap, least_value
 from enumerate.front_plans import (
     Driven,
@@ -32,7 +33,6 @@ from enumerate.front_plans import (
 )
 from enumerate.gap import relative_gap
 from enumerate.pool import run_in_order
-from enumerate.search import Progress
 from enumerate.spread import improves, next_times, spread
 from enumerate.stretch import Stretch, make_stretches
 from enumerate.subset import Subset, all_subsets

@@ -130,17 +130,12 @@ class StageGraph:
         planes, cell = arc.source.planes, arc.source.cell
         best = max(planes, key=lambda plane: plane.at(state))
         (e0, e1), (t0, t1) = cell.energy, cell.temperature
-        rise, size = 0.0, abs(self.closing) + abs(self.bound)
+        rise = 0.0
         for plane in planes:
             e, t = plane.energy - best.energy, plane.temperature - best.temperature
             over = plane.constant - best.constant + max(e * e0, e * e1) + max(t * t0, t * t1)
             rise = max(rise, over)
-            size = max(
-                size,
-                abs(plane.constant) + abs(best.constant)
-                + (abs(plane.energy) + abs(best.energy)) * max(abs(e0), abs(e1))
-                + (abs(plane.temperature) + abs(best.temperature)) * max(abs(t0), abs(t1)),
-            )  # fmt: skip
+        size = abs(self.closing) + abs(self.bound) + 2.0 * max(_size(p, cell) for p in planes)
         return best._replace(constant=best.constant + rise + slack + EPS * size)
 
     def apply(self, step: StageStep) -> None:

@@ -13,9 +13,10 @@ from trips import small_trip
 
 from benchmarks.random_trips import random_trip
 from enumerate.account import Account
+from enumerate.explore import Progress
 from enumerate.ledger import Ledger, Outcome, Row
 from enumerate.result import Status
-from enumerate.search import Progress, plan
+from enumerate.search import plan
 from enumerate.tree import Examined, Leaf, examine, make_roots
 from relax.bound import relax_subset
 from relax.branch import Branch, Target, branch, decide, limit_count

@@ -167,7 +167,7 @@ def test_a_refused_plan_reopens_what_was_closed_against_it(
     assert serial.plan is not None
     best = min(full.ledger.rows, key=lambda r: r.cost)
     others = sorted(r.cost for r in full.ledger.rows if r.subset != best.subset)
-    search = sys.modules["enumerate.search"]
+    search = sys.modules["enumerate.explore"]
     honest = search.execute  # type: ignore[attr-defined]
 
     def refuse(trip, instance, *rest):  # type: ignore[no-untyped-def]

@@ -1,0 +1,366 @@
+"""Owns the search over all charger subsets: relax, order, refine, drive, prove, account.
+
+With few chargers every subset is relaxed, which bounds it or proves it infeasible;
+those whose bound is below the best plan are refined, most promising first. With many,
+families of subsets are relaxed together, and what their optima use is refined, with
+its neighbours. The best plan is driven on the continuous model; families and subsets
+that could be better are cut and bounded until the gap is proved. Work is done in
+batches of fixed size, so the result does not depend on the number of workers. Knows
+no solver.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable
+from concurrent.futures import Executor
+from dataclasses import dataclass, replace
+from functools import partial
+from math import inf
+
+from enumerate.account import Account
+from enumerate.gap import closing_cost, is_close, is_closed
+from enumerate.ledger import Outcome, Row
+from enumerate.pool import run_in_order
+from enumerate.stage_graph import StageGraph
+from enumerate.stage_parts import StageStep
+from enumerate.stage_search import StageSearch
+from enumerate.subset import Subset, all_subsets, neighbours
+from enumerate.tasks import (
+    Node,
+    Setting,
+    examine_leaf,
+    refine_node,
+    refine_point,
+    refine_splits,
+    relax_node,
+)
+from enumerate.tree import Examined, Leaf, make_roots
+from relax.execute import Execution, execute
+from relax.refinement import Refined
+
+__all__ = ["FEW_CHARGERS", "Progress", "Search"]
+
+FEW_CHARGERS = 4
+"""Up to this many chargers every subset is relaxed by itself; with more, families are: 32
+relaxations of single subsets take longer than the families of five chargers."""
+FURTHER = 1
+"""Cheapest subsets that get further starts where there are many chargers: with 20, those of seven
+took a third of the time of a plan and gained 0.001 %."""
+STAGES_FROM = 17
+"""From this many chargers on, all plans together are bounded stage by stage first."""
+STAGES_STOPS = 3
+"""The same if the best plan has this many stops: cutting a subset multiplies over its stops."""
+MOST_PATHS = 4
+"""Subsets planned because a path of stages used them."""
+BATCH = 4
+"""Subsets or leaves handled before the best plan is updated; fixed, so that any number of
+workers closes the same ones."""
+PATHS_EVERY = 8
+"""Paths of stages of which one is planned: most change little."""
+STAGE_NEAR = 0.03
+"""Share of the cost that is missing when paths of stages begin to be planned."""
+LEAF_STARTS = 2
+"""Starts that a proof may add for one subset."""
+SAME = 1e-4
+"""Relative rise of a plan's cost by repairs that reopens what was closed against it."""
+OPENING = 12
+"""Leaves looked at before the first plan, when there are many chargers."""
+MAX_OPENING = 400
+"""Leaves looked at for a first plan; after that the tree is searched without one."""
+
+
+@dataclass(frozen=True)
+class Progress:
+    """Where a search stands.
+
+    Parameters
+    ----------
+    phase : str
+        What is being done.
+    done, total : int
+        Subsets.
+    cost : float
+        Best plan so far on the transcription [currency].
+    lower_bound : float
+        Bound so far [currency].
+    """
+
+    phase: str
+    done: int
+    total: int
+    cost: float
+    lower_bound: float
+
+
+class Search:
+    """State of one search: the subsets met so far, the account, and when to stop."""
+
+    def __init__(
+        self,
+        setting: Setting,
+        executor: Executor | None,
+        deadline: float,
+        report: Callable[[Progress], None] | None,
+        single: bool,
+        keep_proofs: bool,
+    ) -> None:
+        self.setting, self.executor = setting, executor
+        self.deadline, self.report = deadline, report
+        self.n_chargers = len(setting.trip.chargers)
+        self.account = Account(self.n_chargers, keep_proofs)
+        self.single = single
+        self.nodes: dict[Subset, Node] = {}
+        if single:
+            every = all_subsets(self.n_chargers)
+            self.nodes = {s: Node(Row(s, Outcome.UNPROVED)) for s in every}
+        else:
+            self.account.plant(make_roots(self.n_chargers))
+        self.execution: Execution | None = None
+        self.driven: Node | None = None
+        self.tried: Refined | None = None
+        self.interrupted = ""
+
+    @property
+    def best(self) -> Node | None:
+        """The node of the cheapest plan; ties go to the fewer stops."""
+        planned = [n for n in self.nodes.values() if n.row.outcome is Outcome.PLANNED]
+        return min(planned, key=lambda n: n.row.cost, default=None)
+
+    @property
+    def cost(self) -> float:
+        """Cost of the cheapest plan."""
+        return inf if self.best is None else self.best.row.cost
+
+    def run(self, task: Callable[[Setting, Node], Node], nodes: list[Node], phase: str) -> None:
+        """Apply a task to nodes in batches; between batches the clock is looked at."""
+        done = 0
+        while nodes and not self.interrupted:
+            batch, nodes = nodes[:BATCH], nodes[BATCH:]
+            bound = partial(task, self._setting_now())
+            for node in run_in_order(self.executor, bound, batch):
+                if task is relax_node:
+                    self.account.root(node.row, node.steps)
+                self.nodes[node.row.subset] = node
+                done += 1
+                self._tell(phase, done, done + len(nodes))
+            if phase.startswith("refine"):
+                nodes = [n for n in nodes if not self._close(n)]
+            self._look_at_clock()
+
+    def _look_at_clock(self) -> None:
+        if time.perf_counter() > self.deadline:
+            self.interrupted = "time limit reached"
+
+    def _setting_now(self) -> Setting:
+        """Return the setting of the next batch: what cannot beat the best plan ends earlier."""
+        return replace(self.setting, refine=replace(self.setting.refine, hopeless=self.cost))
+
+    def _close(self, node: Node) -> bool:
+        """Close a subset whose bound shows that it cannot beat the best plan."""
+        best = self.best
+        if best is None or not is_closed(node.row.lower_bound, best.row.cost):
+            return False
+        reason = f"bound {node.row.lower_bound:.2f} is not below the best plan"
+        row = replace(node.row, outcome=Outcome.BOUNDED, reason=reason)
+        self.nodes[row.subset] = replace(node, row=row)
+        return True
+
+    def _tell(self, phase: str, done: int, total: int) -> None:
+        if self.report is not None:
+            bound = self.account.open_bound
+            if bound == inf:  # no leaves yet: every subset speaks for itself
+                bound = min(n.row.lower_bound for n in self.nodes.values())
+            self.report(Progress(phase, done, total, self.cost, bound))
+
+    def relax(self) -> None:
+        """Bound every subset, or families of them; plan a promising one as soon as it is known."""
+        if not self.single:
+            for k in range(MAX_OPENING // BATCH):
+                if self.interrupted or not self._examine_batch(inf):
+                    break
+                if k + 1 >= OPENING // BATCH:
+                    self._plan_new([*self.account.suggestions(), *self.account.decided()])
+                    if self.best is not None:
+                        return
+            self._plan_new(self.account.decided())
+            return
+        nodes = self.open()
+        self.run(relax_node, [n for n in nodes if len(n.row.subset) <= 1], "relax")
+        known = [n for n in self.open() if n.point is not None]
+        self.run(refine_node, known[:1], "first plan")
+        self.run(relax_node, [n for n in nodes if len(n.row.subset) > 1], "relax")
+
+    @property
+    def by_stages(self) -> bool:
+        """Whether all plans are bounded together; stages know no limit of all stops' time."""
+        stops = 0 if self.best is None else len(self.best.row.subset)
+        many = self.n_chargers >= STAGES_FROM or (not self.single and stops >= STAGES_STOPS)
+        return many and self.setting.trip.stop_time_h == inf
+
+    def refine(self, prune: bool) -> None:
+        """Plan the subsets that may be better than the best plan, most promising first."""
+        if self.single:
+            if prune:
+                for node in self.open():
+                    self._close(node)
+            self.run(refine_node, self.open(), "refine" if prune else "plan all")
+        else:
+            self._climb()
+        close = [
+            n
+            for n in self.nodes.values()
+            if n.refined is not None
+            and n.row.outcome is Outcome.PLANNED
+            and len(n.row.subset) > 1
+            and is_close(n.row.cost, self.cost)
+        ]
+        close.sort(key=lambda n: n.row.cost)
+        self.run(refine_splits, close if self.single else close[:FURTHER], "further starts")
+
+    def _climb(self) -> None:
+        """Move to better neighbours of the best plan's stops until there is none."""
+        before = inf
+        while self.best is not None and self.cost < before and not self.interrupted:
+            before = self.cost
+            order = [s.charger for s in self.setting.instance(tuple(range(self.n_chargers))).stops]
+            self._plan_new(neighbours(self.best.row.subset, order))
+
+    def _plan_new(self, subsets: Iterable[Subset]) -> None:
+        """Relax and refine subsets not met before."""
+        fresh = [s for s in dict.fromkeys(subsets) if s not in self.nodes]
+        self.run(relax_node, [Node(Row(s, Outcome.UNPROVED)) for s in fresh], "relax")
+        met = [self.nodes[s] for s in fresh if s in self.nodes]
+        nodes = [n for n in met if n.row.outcome is Outcome.UNPROVED and not self._close(n)]
+        nodes.sort(key=lambda n: n.row.lower_bound)
+        self.run(refine_node, nodes, "refine")
+
+    def prove(self, gap: float) -> None:
+        """Cut and bound whatever could be cheaper than the driven plan by more than the gap."""
+        if self.execution is None:
+            return
+        if self.by_stages:
+            self._prove_by_stages(gap)
+        if self.single:
+            self.account.plant(
+                Leaf(s, (), n.row.lower_bound, None, (len(s), len(s)))
+                for s, n in self.nodes.items()
+                if n.row.outcome is not Outcome.INFEASIBLE
+            )
+        while not self.interrupted and self.execution is not None:
+            examined = self._examine_batch(self._cutoff(gap))
+            if not examined:
+                return
+            self._plan_leaves([e for e in examined if not e.leaf.undecided and not e.closed])
+            if self.best is not None and self.best.refined is not self.tried:
+                self.drive()
+
+    def _cutoff(self, gap: float) -> float:
+        """Return the cost from which on a bound closes, for the driven plan."""
+        done = self.execution
+        assert done is not None and done.replay is not None  # plans that do not hold are refused
+        return closing_cost(done.replay.cost, gap, done.trajectory.cost)
+
+    def _prove_by_stages(self, gap: float) -> None:
+        """Bound all plans at once, stage by stage; plan what the cheapest paths use."""
+        family = self.setting.instance((), tuple(range(self.n_chargers)))
+        graph = StageGraph(family, self._cutoff(gap))
+        stages = StageSearch(graph, self.deadline)
+        tried: set[Subset] = set()
+        paths = 0
+        try:
+            for share in stages.run():
+                self.account.stage_bound = graph.lower_bound
+                self._tell("stages, % of the gap", int(100.0 * share), 100)
+                subset = tuple(sorted(family.stops[i].charger for i in stages.path))
+                paths += graph.closing - graph.bound < STAGE_NEAR * abs(graph.closing)
+                if paths % PATHS_EVERY == 1 and subset not in tried and len(tried) < MOST_PATHS:
+                    tried.add(subset)
+                    self._plan_new([subset])
+                    if self.best is not None and self.best.refined is not self.tried:
+                        self.drive()
+                    if self._cutoff(gap) < graph.closing:
+                        graph.apply(StageStep("closing", value=self._cutoff(gap)))
+        finally:
+            self.account.enter_stages(graph, stages.programs)
+        self._look_at_clock()
+
+    def _plan_leaves(self, left: list[Examined]) -> None:
+        """Plan subsets that a proof met and could not close, and start again from what it knows.
+
+        A tightened relaxation's optimum is often nearer to the best plan than any other start.
+        """
+        self._plan_new(e.leaf.subset for e in left)
+        again = []
+        for done in left:
+            node = self.nodes.get(done.leaf.subset)  # none if time is up
+            if node is None or done.point is None or node.starts >= LEAF_STARTS:
+                continue
+            # a subset without a plan may have one that other starts missed
+            if node.row.outcome is Outcome.UNPROVED or is_close(node.row.cost, self.cost):
+                node = replace(node, point=done.point, starts=node.starts + 1)
+                self.nodes[done.leaf.subset] = node
+                again.append(node)
+        self.run(refine_point, again, "further starts")
+
+    def _examine_batch(self, cutoff: float) -> list[Examined]:
+        """Examine the open leaves of least bound."""
+        leaves = self.account.take(BATCH, cutoff)
+        task = partial(examine_leaf, self._setting_now(), cutoff=cutoff, deadline=self.deadline)
+        examined: list[Examined] = []
+        try:
+            for done in run_in_order(self.executor, task, leaves):
+                self.account.enter(done, cutoff)
+                examined.append(done)
+                self._tell("prove" if cutoff < inf else "relax", *self.account.progress)
+        finally:  # an interrupt loses no leaf
+            self.account.put_back(leaves[len(examined) :])
+        self._look_at_clock()
+        return examined
+
+    def open(self) -> list[Node]:
+        """Unsettled nodes, least bound first; ties go to fewer stops."""
+        nodes = [n for n in self.nodes.values() if n.row.outcome is Outcome.UNPROVED]
+        return sorted(nodes, key=lambda n: n.row.lower_bound)
+
+    def drive(self) -> None:
+        """Drive plans on the continuous model, cheapest first, until one holds.
+
+        A plan driven before is kept if the new one turns out no cheaper on the road.
+        """
+        while (best := self.best) is not None:
+            assert best.refined is not None
+            subset, self.tried = best.row.subset, best.refined
+            instance = self.setting.instance(subset)
+            done = execute(self.setting.trip, instance, best.refined, self.setting.refine)
+            if done.reason:
+                row = replace(
+                    best.row,
+                    outcome=Outcome.UNPROVED,
+                    cost=inf,
+                    reason=f"plan refused in replay: {done.reason}",
+                )
+                self.nodes[subset] = replace(best, row=row)
+                self._reopen()
+                continue
+            assert done.replay is not None  # plans that do not hold are refused
+            before = self.execution.replay if self.execution is not None else None
+            if before is None or done.replay.cost < before.cost:
+                self.execution, self.driven = done, best
+            if done.trajectory.cost <= best.row.cost + SAME * abs(best.row.cost):
+                return
+            # repaired: others were closed against a cost that does not hold
+            self.nodes[subset] = replace(best, row=replace(best.row, cost=done.trajectory.cost))
+            self._reopen()
+            if self.best is None or self.best.row.subset == subset:
+                return
+
+    def _reopen(self) -> None:
+        """Look again at the subsets that were closed against a plan which has been refused."""
+        closed = [n for n in self.nodes.values() if n.row.outcome is Outcome.BOUNDED]
+        for node in closed:
+            row = replace(node.row, outcome=Outcome.UNPROVED, reason="")
+            self.nodes[row.subset] = replace(node, row=row)
+        again = [n for n in self.open() if n.refined is None and not self._close(n)]
+        again = [n for n in again if n.row.subset in {c.row.subset for c in closed}]
+        self.run(refine_node, again, "refine")
