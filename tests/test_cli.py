@@ -16,7 +16,7 @@ from trips import write_trip
 
 import enumerate.audit  # noqa: F401 - one test replaces a name in it
 import relax
-from enumerate import cli, evidence_file, load_proofs, search
+from enumerate import cli, evidence_file, explore, load_proofs, search
 from enumerate import plan as plan_trip
 from enumerate.cli import main
 from enumerate.evidence_file import save_evidence
@@ -153,7 +153,7 @@ def test_stopped_without_a_plan(trip: Path, monkeypatch: pytest.MonkeyPatch) -> 
     def interrupted(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(search, "relax_node", interrupted)
+    monkeypatch.setattr(explore, "relax_node", interrupted)
     done = call("plan", trip)
     assert done.exit_code == 4, done.output
     assert "interrupted" in done.stdout and "status  unknown" in done.stdout
@@ -163,7 +163,7 @@ def test_stopped_without_a_plan(trip: Path, monkeypatch: pytest.MonkeyPatch) -> 
 
 
 def test_interrupted_with_a_plan_prints_it(trip: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    real, calls = search.refine_node, []
+    real, calls = explore.refine_node, []
 
     def second_fails(*arguments: object, **options: object) -> object:
         calls.append(1)
@@ -171,7 +171,7 @@ def test_interrupted_with_a_plan_prints_it(trip: Path, monkeypatch: pytest.Monke
             raise KeyboardInterrupt
         return real(*arguments, **options)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(search, "refine_node", second_fails)
+    monkeypatch.setattr(explore, "refine_node", second_fails)
     done = call("plan", trip, "--all")
     assert done.exit_code == 0, done.output
     assert "interrupted" in done.stdout and "destination" in done.stdout
