@@ -204,6 +204,19 @@ def _widest(instance: Instance, box: Box) -> Branch | None:
     return choice
 
 
+def _widest_within(box: Box) -> Branch | None:
+    """Where to cut when arrivals, stays and charges are known: the widest temperature between."""
+    best, choice = LEAST_SPLIT["temperature"], None
+    for name, variable in (("temperature", "temperature"), ("stop_temperature", "border")):
+        interval: Interval = getattr(box, name)
+        if interval.width.max(initial=0.0) > best:
+            at = np.unravel_index(int(interval.width.argmax()), interval.width.shape)
+            index = (int(at[0]), int(at[1])) if len(at) == 2 else int(at[0])
+            best = float(interval.width[at])
+            choice = Branch("halve", Target(name, index, variable), float(interval.mid[at]))
+    return choice
+
+
 def _wide_charge(box: Box) -> Branch | None:
     """Where to cut if the charge of a stop is too uncertain to bound anything else."""
     if box.charge.width.max(initial=0.0) <= WIDE_CHARGE_KWH:
@@ -323,13 +336,16 @@ def _settle(work: _Work, whole: bool) -> Branch | None:
         work.round(_at_stops(instance))
         if proof.bound - before < PROGRESS * (proof.cutoff - before):
             break
-    while not work.late and proof.cutoff - proof.bound < FINE_SHARE * abs(proof.cutoff):
+    while not work.late and (
+        proof.cutoff - proof.bound < FINE_SHARE * abs(proof.cutoff)
+        or _widest(instance, proof.box) is None
+    ):
         before = proof.bound
         for targets in _fine(instance):
             work.round(targets, FINE_WORTH)
         if proof.bound - before < PROGRESS * (proof.cutoff - before):
             break
-    return _widest(instance, proof.box)
+    return _widest(instance, proof.box) or _widest_within(proof.box)
 
 
 @dataclass(frozen=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,13 +13,14 @@ from trips import small_trip
 from relax import load_trip, make_instance, simulate
 from relax.bound import relax_subset
 from relax.instance import Instance
+from relax.intervals import Interval
 from relax.program import add_cutoff, make_cone_program
 from relax.reach import make_box, propagate
 from relax.refinement import Refined, complete, refine
 from relax.simulate import Simulation
 from relax.solve import SolveStatus, solve_cone
 from relax.starts import best_start
-from relax.tighten import prove
+from relax.tighten import prove, tighten
 
 
 def paper(subset: tuple[int, ...], **changes: object) -> Instance:
@@ -74,6 +76,30 @@ def test_tightening_raises_the_bound_where_the_root_is_loose(plans: dict[str, Re
     assert rough is not None and rough < 0.97 * cost
     proof = prove(instance, 0.985 * cost)
     assert proof.closed and proof.lower_bound >= 0.985 * cost
+
+
+def test_what_is_wide_only_between_stops_is_cut_there(plans: dict[str, Refined]) -> None:
+    """Otherwise such a box, which holds a plan below the cutoff, would stay open for ever."""
+    instance, plan = CASES["paper one stop"], plans["paper one stop"].trajectory
+    stop, box = plan.stops[0], make_box(instance)
+    ends = np.zeros(box.stop_temperature.lo.shape, dtype=bool)
+    ends[:, [0, -1]] = True
+    warm, slow = stop.temperature_c[None], stop.dwell_h[None]
+    charged = np.diff(stop.energy_kwh[[0, -1]])
+    known = replace(
+        box,
+        charge=box.charge.meet(charged - 0.1, charged + 0.1),
+        dwell=box.dwell.meet(slow - 1e-4, slow + 1e-4),
+        stay=box.stay.meet(slow.sum(axis=1) - 1e-3, slow.sum(axis=1) + 1e-3),
+        stop_temperature=box.stop_temperature.meet(
+            np.where(ends, warm - 0.3, -np.inf), np.where(ends, warm + 0.3, np.inf)
+        ),
+    )
+    done = tighten(instance, known, cutoff=1.02 * plan.cost)
+    assert not done.closed and done.how is not None and done.how.target is not None
+    interval: Interval = getattr(done.box, done.how.target.name)
+    assert interval.width[done.how.target.index] > 1.0
+    assert done.how.target.variable in ("temperature", "border")
 
 
 def test_no_feasible_trajectory_leaves_the_box_backwards_in_time() -> None:
