@@ -54,8 +54,11 @@ STAGES_STOPS = 3
 MOST_PATHS = 4
 """Subsets planned because a path of stages used them."""
 BATCH = 4
-"""Subsets or leaves handled before the best plan is updated; fixed, so that any number of
-workers closes the same ones."""
+"""Subsets handled before the best plan is updated; fixed, so that any number of workers closes
+the same ones."""
+PROOF_BATCH = 16
+"""The same for leaves of a proof: nearly all have to be closed anyway, and leaves take very
+different times, so that of a few one worker would wait for the other."""
 PATHS_EVERY = 8
 """Paths of stages of which one is planned: most change little."""
 STAGE_NEAR = 0.03
@@ -177,7 +180,7 @@ class Search:
         """Bound every subset, or families of them; plan a promising one as soon as it is known."""
         if not self.single:
             for k in range(MAX_OPENING // BATCH):
-                if self.interrupted or not self._examine_batch(inf):
+                if self.interrupted or not self._examine_batch(inf, BATCH):
                     break
                 if k + 1 >= OPENING // BATCH:
                     self._plan_new([*self.account.suggestions(), *self.account.decided()])
@@ -248,7 +251,7 @@ class Search:
                 if n.row.outcome is not Outcome.INFEASIBLE
             )
         while not self.interrupted and self.execution is not None:
-            examined = self._examine_batch(self._cutoff(gap))
+            examined = self._examine_batch(self._cutoff(gap), PROOF_BATCH)
             if not examined:
                 return
             self._plan_leaves([e for e in examined if not e.leaf.undecided and not e.closed])
@@ -303,9 +306,9 @@ class Search:
                 again.append(node)
         self.run(refine_point, again, "further starts")
 
-    def _examine_batch(self, cutoff: float) -> list[Examined]:
+    def _examine_batch(self, cutoff: float, most: int) -> list[Examined]:
         """Examine the open leaves of least bound."""
-        leaves = self.account.take(BATCH, cutoff)
+        leaves = self.account.take(most, cutoff)
         task = partial(examine_leaf, self._setting_now(), cutoff=cutoff, deadline=self.deadline)
         examined: list[Examined] = []
         try:
