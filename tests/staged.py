@@ -15,7 +15,7 @@ from itertools import combinations, pairwise
 from typing import Any
 
 import numpy as np
-from trips import small_trip
+from hard_trips import hard_trip
 
 from enumerate.stage_graph import StageGraph
 from enumerate.stage_parts import Arc, Vertex
@@ -84,26 +84,8 @@ class Piece:
 @cache
 def trip_of(kind: str) -> Trip:
     """Return the trip of a kind: 120 km, up to four chargers, coarse steps and cells."""
-    base = small_trip(
-        ambient_c=33.0 if kind == "summer" else -12.0,
-        start_soc=0.45,
-        grid__cells=3,
-        grid__step_km=500.0 if kind == "one step" else 12.0,
-    )
-    first, last = base.chargers
-    length = base.route.length_km
-    places = {
-        "same node": (45.0, 45.0, 85.0),
-        "ends": (0.0, 60.0, length),
-        "two at the end": (45.0, length, length),
-        "one step": (0.0, 0.0, length),
-        "limits": (20.0, 45.0, 70.0, 100.0),
-    }.get(kind, (45.0, 60.0, 85.0))
-    chargers = tuple(
-        replace(first if i != 1 else last, name=f"c{i}", position_km=x, price_per_kwh=0.4 + 0.1 * i)
-        for i, x in enumerate(places)
-    )
-    trip = replace(base, chargers=chargers)
+    trip = hard_trip(kind, 500.0 if kind == "one step" else 12.0)
+    chargers = trip.chargers
     if kind in ("ends", "two at the end", "one step"):
         return replace(trip, end_soc_min=0.4)
     if kind == "free":

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import subprocess
-import sys
 from collections.abc import Callable
 from math import inf, nan
 from pathlib import Path
@@ -12,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from trips import small_trip
+from audited import STAGED, audit_apart
 
 from enumerate import Result, audit, load_proofs, plan, save_proofs
 from enumerate.audit import audit_evidence
@@ -23,13 +21,10 @@ from enumerate.evidence_stages import COLUMNS, KINDS, from_table, to_table
 from enumerate.ledger import Outcome
 from enumerate.stage_graph import StageGraph
 from enumerate.stage_parts import Arc, StageStep
-from relax import Grid, InputError, make_instance
+from relax import InputError, make_instance
 from relax.instance import Instance
 
-ROOT = Path(__file__).resolve().parents[1]
-TRIP = dataclasses.replace(
-    small_trip(start_soc=0.45, time_value_per_h=60.0), grid=Grid(step_km=10.0, cells=4)
-)
+TRIP = STAGED
 Steps = tuple[StageStep, ...]
 
 
@@ -38,18 +33,6 @@ def result() -> Result:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("enumerate.explore.STAGES_FROM", 2)
         return plan(TRIP, gap=0.02, keep_proofs=True)
-
-
-@pytest.fixture(scope="module")
-def file(result: Result, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("proofs") / "stages.proofs"
-    save_proofs(path, TRIP, result)
-    return path
-
-
-@pytest.fixture(scope="module")
-def evidence(file: Path) -> Evidence:
-    return load_proofs(file)
 
 
 @pytest.fixture(scope="module")
@@ -138,21 +121,8 @@ def test_programs_that_were_given_up_come_back_the_same(
 
 
 def test_no_solver_is_loaded_for_stages(file: Path) -> None:
-    code = (
-        "import sys, dataclasses\nfrom relax.trip import Grid\nfrom trips import small_trip\n"
-        "T = small_trip(time_value_per_h=60.0, start_soc=0.45)\n"
-        "T = dataclasses.replace(T, grid=Grid(step_km=10.0, cells=4))\n"
-        "from enumerate import audit\nfound = audit(sys.argv[1], T)\n"
-        "assert found.holds and found.stage_steps, found.failures\n"
-        "print(' '.join(sorted(sys.modules)))"
-    )
-    done = subprocess.run(
-        [sys.executable, "-W", "error", "-c", code, str(file)],
-        capture_output=True, text=True, cwd=ROOT, check=False,
-        env={"PYTHONPATH": ":".join(p for p in sys.path if p)},
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    loaded = set(done.stdout.split())
+    steps, loaded = audit_apart(file, "STAGED")
+    assert steps
     assert "enumerate.stage_graph" in loaded
     assert not {m.split(".")[0] for m in loaded} & {"clarabel", "osqp", "cvxpy", "casadi"}
     searches = {f"enumerate.{name}" for name in ("search", "stage_search", "tree", "account")}

@@ -11,27 +11,21 @@ from typing import Any
 
 import numpy as np
 import pytest
+from audited import TWO, plan_of_two
 from trips import small_trip
 
-from enumerate import Result, load_proofs, plan, save_proofs
+from enumerate import Result, load_proofs, save_proofs
 from enumerate.evidence import Evidence
 from enumerate.evidence_file import fingerprint, save_evidence
 from relax import InputError, load_trip
 from relax.maps import Table1
 
-TRIP = small_trip(start_soc=0.45, time_value_per_h=60.0)
+TRIP = TWO
 
 
 @pytest.fixture(scope="module")
 def result() -> Result:
-    return plan(TRIP, gap=0.02, keep_proofs=True)
-
-
-@pytest.fixture(scope="module")
-def file(result: Result, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("proofs") / "trip.proofs"
-    save_proofs(path, TRIP, result)
-    return path
+    return plan_of_two()
 
 
 def parts(evidence: Evidence) -> Any:

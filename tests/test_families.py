@@ -9,7 +9,7 @@ from math import comb, inf
 
 import numpy as np
 import pytest
-from trips import small_trip
+from hard_trips import hard_trip
 
 from benchmarks.random_trips import random_trip
 from enumerate.account import Account
@@ -36,22 +36,7 @@ KINDS = ("winter", "same node", "ends", "summer", "stop time")
 @cache
 def trip(kind: str) -> Trip:
     """A short trip with three chargers, hard in the named way."""
-    base = small_trip(
-        ambient_c=33.0 if kind == "summer" else -12.0,
-        start_soc=0.45,
-        grid__cells=3,
-        grid__step_km=10.0,
-    )
-    first, last = base.chargers
-    km = {
-        "same node": (first.position_km, first.position_km, last.position_km),
-        "ends": (0.0, 60.0, base.route.length_km),
-    }.get(kind, (first.position_km, 60.0, last.position_km))
-    chargers = tuple(
-        replace(first if i != 1 else last, name=f"c{i}", position_km=x, price_per_kwh=0.4 + 0.1 * i)
-        for i, x in enumerate(km)
-    )
-    out = replace(base, chargers=chargers)
+    out = hard_trip(kind, step_km=10.0)
     return replace(out, stop_time_h=0.9) if kind == "stop time" else out
 
 
