@@ -20,7 +20,7 @@ from enumerate.audit_stages import StageRecheck, recheck_stages
 from enumerate.audit_tree import Family, Recheck, exceeds
 from enumerate.evidence import DrivenPlan, Evidence
 from enumerate.evidence_file import fingerprint, load_proofs
-from enumerate.gap import DEFAULT_GAP, closing_cost, relative_gap
+from enumerate.gap import DEFAULT_GAP, closing_cost, is_proved, relative_gap
 from enumerate.ledger import Ledger, Outcome, Row
 from enumerate.subset import all_subsets
 from enumerate.table import number, paragraph, percent
@@ -345,8 +345,13 @@ def _sums(evidence: Evidence, bound: float, cost: float, failures: list[str]) ->
     if not (gap == evidence.gap or gap <= evidence.gap + COST_TOLERANCE):
         failures.append(f"gap: {evidence.gap!r} is claimed, {gap!r} is proved")
     asked = DEFAULT_GAP if evidence.asked_gap is None else evidence.asked_gap
-    if evidence.status == "optimal" and not gap <= asked + COST_TOLERANCE:
-        failures.append(f"status: optimal within {asked:g} is claimed, {gap:g} is proved")
+    if evidence.status == "optimal" and not is_proved(
+        cost, evidence.transcribed, bound, asked + COST_TOLERANCE
+    ):
+        failures.append(
+            f"status: optimal within {asked:g} is claimed, {gap:g} is proved of a plan that costs "
+            f"{evidence.transcribed!r} on the grid and {cost!r} driven"
+        )
     if evidence.status == "infeasible" and bound < inf:
         failures.append("status: infeasible is claimed, not proved")
     if evidence.status not in ("optimal", "feasible", "infeasible", "unknown"):

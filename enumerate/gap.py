@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from math import inf
 
-__all__ = ["DEFAULT_GAP", "closing_cost", "is_close", "is_closed", "relative_gap"]
+__all__ = ["DEFAULT_GAP", "closing_cost", "is_close", "is_closed", "is_proved", "relative_gap"]
 
 DEFAULT_GAP = 0.01
 """Relative gap below which a plan is called optimal unless the caller asks otherwise."""
@@ -48,6 +48,30 @@ def is_close(cost: float, best: float) -> bool:
     (True, False)
     """
     return cost <= best + CLOSE * max(abs(best), 1.0)
+
+
+def is_proved(cost: float, transcribed: float, lower_bound: float, gap: float) -> bool:
+    """Return whether a plan is proved to be within a gap of the best one.
+
+    Bounds are of the transcription, costs of the drive: the gap between them says nothing
+    below the difference between both costs of the plan itself, whichever is lower.
+
+    Parameters
+    ----------
+    cost, transcribed : float
+        Of the plan, as driven and on the transcription [currency].
+    lower_bound : float
+        Of every plan on the transcription [currency].
+    gap : float
+        Relative gap.
+
+    Examples
+    --------
+    >>> is_proved(200.0, 200.1, 198.0, 0.01), is_proved(200.0, 204.0, 198.0, 0.01)
+    (True, False)
+    """
+    apart = abs(cost - transcribed) / max(abs(cost), 1.0)
+    return relative_gap(cost, lower_bound) <= gap * (1.0 + 1e-9) and apart <= gap
 
 
 def closing_cost(cost: float, gap: float, transcribed: float = inf) -> float:

@@ -15,7 +15,7 @@ from typing import Literal
 from enumerate.diagnose import diagnose
 from enumerate.evidence import StageProof
 from enumerate.explore import FEW_CHARGERS, Progress, Search
-from enumerate.gap import DEFAULT_GAP, closing_cost, relative_gap
+from enumerate.gap import DEFAULT_GAP, closing_cost, is_proved
 from enumerate.ledger import Ledger, Outcome
 from enumerate.result import Result, Status
 from enumerate.tasks import Setting
@@ -150,8 +150,8 @@ def _result(search: Search, gap: float | None, timings: dict[str, float], begin:
     rows = account.rows({s: n.row for s, n in search.nodes.items()}, closing)
     ledger = Ledger(len(trip.chargers), tuple(rows))
     status = Status.UNKNOWN
-    if report is not None:
-        within = relative_gap(cost, ledger.lower_bound) <= enough * (1.0 + 1e-9)
+    if done is not None and report is not None:
+        within = is_proved(cost, done.trajectory.cost, ledger.lower_bound, enough)
         status = Status.OPTIMAL if within else Status.FEASIBLE
     elif all(row.outcome is Outcome.INFEASIBLE for row in ledger.rows):
         status = Status.INFEASIBLE

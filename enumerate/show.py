@@ -105,6 +105,15 @@ def _status(result: Result) -> str:
         Status.INFEASIBLE: "infeasible: for each choice of stops it is proved that no plan exists",
         Status.UNKNOWN: "unknown: no plan was found, and none is ruled out",
     }[result.status]
+    apart = 0.0 if result.plan is None else abs(result.plan.deviation.cost)
+    enough = result.optimal_gap
+    if result.status is Status.FEASIBLE and enough < apart and result.gap < enough + apart:
+        text = (
+            "feasible: the plan keeps every limit when driven on the continuous model; what is "
+            f"proved on the grid says nothing finer than the {percent(apart, 2)} % by which drive "
+            "and grid differ: a finer grid brings them together (--set grid.cells=..., "
+            "--set grid.step_km=...)"
+        )
     if result.interrupted:
         text += f" ({result.interrupted}: this is what was known by then)"
     return paragraph("status", text + ".")

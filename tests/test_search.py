@@ -12,6 +12,7 @@ import pytest
 from trips import small_trip
 
 from enumerate import Outcome, Progress, Result, Status, plan
+from enumerate.show import format_result
 from relax import load_trip
 from relax.trip import Trip
 
@@ -82,6 +83,19 @@ def test_an_asked_gap_is_proved() -> None:
     assert result.status is Status.OPTIMAL
     assert result.gap <= 0.002 * (1 + 1e-9)
     assert result.lower_bound <= result.transcribed_cost
+
+
+def test_a_gap_below_the_error_of_the_grid_is_not_called_proved() -> None:
+    """Three cells for a charge are 0.4 % off: more than a gap of 0.3 % can say of the drive."""
+    name, chosen = "goteborg-stockholm-winter", slice(4, 5)
+    coarse = load_trip(name, {"grid.cells": 3})
+    result = plan(replace(coarse, chargers=coarse.chargers[chosen]), gap=0.003)
+    apart = abs(result.cost - result.transcribed_cost) / result.cost
+    assert result.gap <= 0.003 * (1 + 1e-9) and apart > 0.003
+    assert result.status is Status.FEASIBLE
+    assert "finer grid" in " ".join(format_result(result).split())
+    fine = load_trip(name)
+    assert plan(replace(fine, chargers=fine.chargers[chosen]), gap=0.003).status is Status.OPTIMAL
 
 
 def test_no_time_at_all_still_gives_a_valid_answer() -> None:
