@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["Arrival", "Replay", "ReplayStop", "Violation"]
+__all__ = ["Arrival", "Clipped", "Replay", "ReplayStop", "Violation"]
 
 Array = npt.NDArray[np.float64]
 
@@ -39,6 +39,33 @@ class Violation:
     def __str__(self) -> str:
         """Return one line for people."""
         return f"{self.rule} at {self.position_km:.1f} km by {self.amount:.4g} {self.unit}"
+
+
+@dataclass(frozen=True)
+class Clipped:
+    """A command beyond its actuator's rating, taken back to it.
+
+    Parameters
+    ----------
+    command : str
+        ``heater_kw``, ``cooling_kw`` or ``heat_pump_kw``.
+    position_km : float
+        Where the command begins, or the stop.
+    asked_kw, given_kw : float
+        What was commanded, and the rating (or 0) that was driven with [kW].
+    """
+
+    command: str
+    position_km: float
+    asked_kw: float
+    given_kw: float
+
+    def __str__(self) -> str:
+        """Return one line for people."""
+        place = f"{self.position_km:.1f} km"
+        return (
+            f"{self.command} of {self.asked_kw:.4g} at {place}: the car gives {self.given_kw:.4g}"
+        )
 
 
 @dataclass(frozen=True)
@@ -114,6 +141,9 @@ class Replay:
         Internal energy at which charging was to end, one per stop [kWh].
     arrivals : tuple of Arrival
         One per stop.
+    clipped : tuple of Clipped
+        Commands beyond an actuator's rating, the largest excess of each: driven at the
+        rating. They break no limit, but what was driven is not what was commanded.
     """
 
     cost: float
@@ -131,6 +161,7 @@ class Replay:
     violations: tuple[Violation, ...]
     targets_kwh: tuple[float, ...] = ()
     arrivals: tuple[Arrival, ...] = field(default=(), repr=False)
+    clipped: tuple[Clipped, ...] = ()
 
     @property
     def feasible(self) -> bool:

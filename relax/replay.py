@@ -2,9 +2,9 @@
 
 Written apart from the transcription: it reads the trip, not the instance's
 averages, and integrates with an adaptive Runge-Kutta method. The controls are
-schedules; at a stop the car charges to the planned energy, the battery and the
-charger clip the power, and the dwell is an outcome. Imports neither solver nor
-program. The only source of reported costs.
+schedules, followed as far as the actuators can; at a stop the car charges to the
+planned energy, the battery and the charger clip the power, and the dwell is an
+outcome. Imports neither solver nor program. The only source of reported costs.
 """
 
 from __future__ import annotations
@@ -16,8 +16,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from relax.commands import check_controls, within_ratings
 from relax.driven import Arrival, Replay, ReplayStop, Violation
-from relax.errors import DomainError
+from relax.errors import DomainError, InputError
+from relax.exact import ExactCar, discharge_power
 from relax.instance import HEATER_SHARE, LEAST_ROOM_KW, Instance, Stop
 from relax.plan import Controls, StopControls
 
@@ -42,10 +44,10 @@ EXCESS_KW = 0.05
 """Excess over the sustained discharge limit that is rounding [kW]."""
 ROUNDING_KW = 1e-6
 """Excess over a charger's limit that is rounding [kW]."""
-MANAGED_K = 0.2
-"""Band below a limit in which heater or cooling is taken back to zero [K]."""
 EXCESS_H = 1e-4
 """Excess over the longest dwell, of one stop or of all, that is rounding: 0.4 s [h]."""
+PIECES = 8
+"""Into how many parts a span is cut in which a state leaves the tables: each is checked."""
 RULE_STOP_TIME = "charging and detours beyond the time allowed for all stops"
 
 # components of the integrated state: two states, the clock, and energies since departure
@@ -53,87 +55,18 @@ ENERGY, TEMPERATURE, CLOCK, GRID, LOSS, BASE, HEATER, CABIN = range(8)
 COOLING, PUMP, PUMP_HEAT, AMBIENT, DRIVETRAIN, BRAKE = range(8, 14)
 
 
-class _Car:
-    """The exact equations (P1) .. (P7) in floats, for one right-hand side at a time."""
-
-    def __init__(self, trip: Trip) -> None:
-        vehicle, pack = trip.vehicle, trip.vehicle.pack
-        self.vehicle = vehicle
-        self.resistance = pack.resistance_ohm.at
-        self.voltage_squared = pack.voltage_squared.at
-        self.cop = vehicle.heat_pump_cop.at
-        self.charge_limit = pack.charge_limit_kw.at
-        self.discharge_limit = pack.discharge_limit_kw.at
-        self.capacity = pack.heat_capacity_kwh_per_k
-        self.top, self.floor = pack.temperature_max_c, vehicle.cooling_from_c
-
-    def managed(self, temp: float, heater: float, cooling: float) -> tuple[float, float]:
-        """Return heater and cooling as the car allows them near its temperature limits.
-
-        Both are taken back in proportion: the heater to zero at the battery's
-        limit, cooling to zero at the temperature from which it works.
-        """
-        if heater > 0.0 and temp > self.top - MANAGED_K:
-            heater *= max((self.top - temp) / MANAGED_K, 0.0)
-        if cooling > 0.0 and temp < self.floor + MANAGED_K:
-            cooling *= max((temp - self.floor) / MANAGED_K, 0.0)
-        return heater, cooling
-
-    def heating(
-        self, temp: float, demand: float, heater_set: float, pump_set: float
-    ) -> tuple[float, float, float, float]:
-        """Return heater, heat pump, its heat and cabin heater power, clipped to what is asked."""
-        v = self.vehicle
-        pump = heat = 0.0
-        if pump_set > 0.0 and demand > 0.0:
-            cop, droop = self.cop(temp), v.heat_pump_droop_per_kw
-            pump = min(pump_set, v.heat_pump_kw)
-            heat = cop * pump * (1.0 - droop * pump)
-            if heat > demand:
-                ratio = demand / cop
-                pump = 2.0 * ratio / (1.0 + sqrt(1.0 - 4.0 * droop * ratio))
-                heat = demand
-        cabin = (demand - heat) / v.heater_cabin_efficiency
-        return max(min(heater_set, v.heater_kw - cabin), 0.0), pump, heat, cabin
-
-    def rates(
-        self,
-        power: float,
-        r: float,
-        use: tuple[float, float, float, float, float, float],
-        climate: tuple[float, float, float],
-        grid: float,
-        temp: float,
-    ) -> list[float]:
-        """Return the time derivatives of the integrated state."""
-        v = self.vehicle
-        base, heater, cooling, pump, heat, cabin = use
-        ambient, conductance, drivetrain = climate
-        loss = r * power * power
-        exchange = conductance * (ambient - temp)
-        flow = loss + drivetrain + exchange - (heat - pump)
-        flow += v.heater_battery_efficiency * heater - v.cooling_cop * cooling
-        return [
-            -power, flow / self.capacity, 1.0, grid, loss, base, heater, cabin, cooling, pump, heat,
-            exchange, drivetrain, 0.0,
-        ]  # fmt: skip
-
-
-def _discharge(load: float, r: float) -> float:
-    """Return the internal power that serves a load (P3)."""
-    root = 1.0 - 4.0 * r * load
-    if root < 0.0:
-        raise DomainError("the electrical load exceeds the largest power of the pack")
-    return 2.0 * load / (1.0 + sqrt(root))
-
-
 class _Driver:
-    """Carries the state along the trip and notes what breaks."""
+    """Carries the state along the trip and notes what breaks.
+
+    ``car`` reads tables where they are defined, ``edge`` a little beyond too.
+    """
 
     def __init__(self, trip: Trip, instance: Instance) -> None:
         from scipy.integrate import ode
 
-        self.trip, self.instance, self.car = trip, instance, _Car(trip)
+        self.trip, self.instance = trip, instance
+        self.car, self.edge = ExactCar(trip.vehicle), ExactCar(trip.vehicle, edge=True)
+        self.km = 0.0
         self.state = [instance.start_energy_kwh, instance.start_temperature_c, *[0.0] * 12]
         self.violations: dict[str, Violation] = {}
         self.grid_excess_kw = 0.0
@@ -154,15 +87,35 @@ class _Driver:
         self.state = list(arrival.state)
         self.violations = {v.rule: v for v in arrival.violations}
 
-    def integrate(self, rates: Callable[[float, Any], list[float]], span: float) -> None:
-        """Advance the state over a span of the independent variable."""
+    def integrate(self, rates: Callable[[ExactCar, list[float]], list[float]], span: float) -> None:
+        """Advance the state over a span of the independent variable.
+
+        If a state on the way is off a table, once more at the tables' edges, with a look at
+        the limits after every part: how much is missed is what a repair needs to know.
+        """
+        begin = list(self.state)
+        try:
+            self._advance(self.car, rates, span)
+        except DomainError:
+            self.state = begin
+            for _ in range(PIECES):
+                self._advance(self.edge, rates, span / PIECES)
+                self._check_tables()
+
+    def _advance(
+        self,
+        car: ExactCar,
+        rates: Callable[[ExactCar, list[float]], list[float]],
+        span: float,
+    ) -> None:
+        """Advance the state over a span with tables as one car reads them."""
         failed: list[DomainError] = []
 
-        def guarded(t: float, y: Any) -> list[float]:
+        def guarded(_: float, y: Any) -> list[float]:
             if failed:
                 return [0.0] * len(y)
             try:  # an exception must not cross the integrator's compiled code
-                return rates(t, y.tolist())  # plain floats: a third of the time
+                return rates(car, y.tolist())  # plain floats: a third of the time
             except DomainError as error:
                 failed.append(error)
                 return [0.0] * len(y)
@@ -190,11 +143,24 @@ class _Driver:
 
     def check_temperature(self, km: float) -> None:
         """Note a temperature outside the limits."""
-        instance, temp = self.instance, self.state[TEMPERATURE]
-        over = temp - instance.temperature_max_c
-        self.note("battery temperature above its limit", km, over, "K", EXCESS_K)
-        under = instance.temperature_min_c - temp
-        self.note("battery temperature below its limit", km, under, "K", EXCESS_K)
+        self._temperature_within(
+            km, self.instance.temperature_min_c, self.instance.temperature_max_c
+        )
+
+    def _temperature_within(self, km: float, low: float, top: float) -> None:
+        temp = self.state[TEMPERATURE]
+        self.note("battery temperature above its limit", km, temp - top, "K", EXCESS_K)
+        self.note("battery temperature below its limit", km, low - temp, "K", EXCESS_K)
+
+    def _check_tables(self) -> None:
+        """Note a state outside the limits, or outside the tables should these be narrower."""
+        instance, (empty, full) = self.instance, self.edge.energy_range
+        coldest, hottest = self.edge.temperature_range
+        low = max(instance.temperature_min_c, coldest)
+        self._temperature_within(self.km, low, min(instance.temperature_max_c, hottest))
+        short = empty - self.state[ENERGY]
+        self.note("energy below the least on the way", self.km, short, "kWh", SHORTFALL_KWH)
+        self.check_full(self.km, min(instance.ceiling_kwh, full))
 
     def check_full(self, km: float, most: float) -> None:
         """Note an energy above the largest allowed."""
@@ -211,12 +177,13 @@ class _Driver:
         if drive.base_kw[k] >= 0.0:
             return 0.0
         energy, temp = self.state[ENERGY], self.state[TEMPERATURE]
-        r = self.car.resistance(temp) / self.car.voltage_squared(energy)
-        heater, pump, _, cabin = self.car.heating(temp, float(drive.cabin_heat_kw[k]), heater, pump)
+        car = self.edge
+        r = car.resistance(temp) / car.voltage_squared(energy)
+        heater, pump, _, cabin = car.heating(temp, float(drive.cabin_heat_kw[k]), heater, pump)
         ripple = float(drive.ripple_kw2[k])
         load = float(drive.base_kw[k]) + heater + cooling + pump + cabin
-        limit = self.car.charge_limit(energy, temp)
-        if _discharge(load + r * ripple, r) >= -limit:
+        limit = car.charge_limit(energy, temp)
+        if discharge_power(load + r * ripple, r) >= -limit:
             return 0.0
         return max(-limit - r * (limit * limit + ripple) - load, 0.0)
 
@@ -224,7 +191,7 @@ class _Driver:
         self, j: int, hours: float, setting: tuple[float, float, float], brake: float
     ) -> None:
         """Drive part of route sample j with constant settings."""
-        car, route, vehicle = self.car, self.trip.route, self.trip.vehicle
+        route, vehicle = self.trip.route, self.trip.vehicle
         ambient = float(route.ambient_c[j])
         climate = (
             ambient,
@@ -236,12 +203,12 @@ class _Driver:
         base += vehicle.cabin_cooling_kw.at(ambient)
         heater_set, cooling_set, pump_set = setting
 
-        def rates(_: float, y: list[float]) -> list[float]:
+        def rates(car: ExactCar, y: list[float]) -> list[float]:
             energy, temp = y[0], y[1]
             heater, pump, heat, cabin = car.heating(temp, demand, heater_set, pump_set)
             r = car.resistance(temp) / car.voltage_squared(energy)
             heater, cooling = car.managed(temp, heater, cooling_set)
-            power = _discharge(base + heater + cooling + pump + cabin, r)
+            power = discharge_power(base + heater + cooling + pump + cabin, r)
             return car.rates(
                 power, r, (base, heater, cooling, pump, heat, cabin), climate, 0.0, temp
             )
@@ -251,7 +218,7 @@ class _Driver:
 
     def charge(self, stop: Stop, setting: StopControls, target_kwh: float, km: float) -> ReplayStop:
         """Charge to the planned energy; the independent variable is the internal energy."""
-        car, state = self.car, self.state
+        state = self.state
         state[ENERGY] -= stop.detour_in_kwh
         short = stop.arrive_min_kwh - state[ENERGY]
         self.note("energy below the least on arrival at a charger", km, short, "kWh", SHORTFALL_KWH)
@@ -260,6 +227,7 @@ class _Driver:
         borders = [list(state)]
         climate = (stop.ambient_c, stop.heat_loss_kw_per_k, 0.0)
         part = (target_kwh - state[ENERGY]) / cells
+        grid_limit = {c: c.over_energy(stop.grid_limit_kw) for c in (self.car, self.edge)}
         for j in range(cells if part > 0.0 else 0):
             power_set, heater_set, cooling_set, pump_set = (
                 float(column[j])
@@ -272,7 +240,7 @@ class _Driver:
             )
 
             def rates(
-                _: float,
+                car: ExactCar,
                 y: list[float],
                 power_set: float = power_set,
                 heater_set: float = heater_set,
@@ -284,12 +252,16 @@ class _Driver:
                     temp, stop.cabin_heat_kw, heater_set, pump_set
                 )
                 r = car.resistance(temp) / car.voltage_squared(energy)
-                grid_max = stop.grid_limit_kw.at(energy)
+                grid_max = grid_limit[car](energy)
                 free = grid_max - stop.base_kw - cabin - pump - cooling_set
                 heater = max(min(heater, HEATER_SHARE * free), 0.0)
                 room = max(free - heater, LEAST_ROOM_KW)
                 limit = 2.0 * room / (1.0 + sqrt(1.0 + 4.0 * r * room))
                 power = min(power_set, limit, car.charge_limit(energy, temp))
+                if not power > 0.0:
+                    raise DomainError(
+                        f"the battery takes no charge at {energy:.4g} kWh, {temp:.4g} C"
+                    )
                 heater, cooling = car.managed(temp, heater, cooling_set)
                 use = (stop.base_kw, heater, cooling, pump, heat, cabin)
                 grid = power + r * power * power + stop.base_kw + heater + cooling + pump + cabin
@@ -346,7 +318,9 @@ def replay(
     instance : Instance
         Says where the stops are and over which steps the controls hold.
     controls : Controls
-        Schedules of heater, cooling and heat pump; planned charging powers.
+        Schedules of heater, cooling and heat pump; planned charging powers. Powers beyond an
+        actuator's rating are driven at the rating and listed in ``clipped``; the charged
+        energies count for nothing here, the targets say where charging ends.
     targets_kwh : tuple of float
         Internal energy at which charging ends, one per stop [kWh].
     before : Replay, optional
@@ -360,8 +334,14 @@ def replay(
 
     Raises
     ------
+    InputError
+        Controls or targets mean nothing: another number of values, no number, a charging
+        power that is not above 0. Names the command.
     DomainError
-        The car runs empty or leaves the maps' domain.
+        The car leaves the maps' domain by more than a plan's repair could bring back (5 K,
+        1 kWh), for example because it runs empty, or cannot go on. Says where, and what broke
+        before. By less, the nearest point of the maps is taken, and the limit that is missed
+        is a violation.
 
     Examples
     --------
@@ -375,8 +355,25 @@ def replay(
     >>> abs(driven.cost / trajectory.cost - 1.0) < 0.002, abs(driven.balance_kwh) < 1e-9
     (True, True)
     """
-    route, drive = trip.route, instance.drive
+    check_controls(instance, controls)
+    if np.shape(targets_kwh) != (len(instance.stops),) or not np.all(np.isfinite(targets_kwh)):
+        raise InputError("controls", "targets_kwh", targets_kwh, "a number of kWh for every stop")
+    followed, clipped = within_ratings(instance, controls)
     driver = _Driver(trip, instance)
+    try:
+        done = _driven(driver, followed, targets_kwh, before)
+    except DomainError as error:
+        broken = "".join(f"; {v}" for v in driver.violations.values())
+        raise DomainError(f"at {driver.km:.1f} km: {error}{broken}") from error
+    return dataclasses.replace(done, clipped=clipped)
+
+
+def _driven(
+    driver: _Driver, controls: Controls, targets_kwh: tuple[float, ...], before: Replay | None
+) -> Replay:
+    """Drive controls that the actuators can follow."""
+    trip, instance = driver.trip, driver.instance
+    route, drive = trip.route, instance.drive
     borders = np.union1d(route.node_km, drive.node_km)
     sample = np.searchsorted(route.node_km, 0.5 * (borders[1:] + borders[:-1]), "right") - 1
     step = np.searchsorted(drive.node_km, 0.5 * (borders[1:] + borders[:-1]), "right") - 1
@@ -401,6 +398,7 @@ def replay(
     for i, km in enumerate(borders.tolist()):
         if i < resumed:
             continue
+        driver.km = km
         if i > resumed:
             states.append(driver.here)
             short = float(least[i]) - driver.state[ENERGY]
@@ -447,7 +445,7 @@ def _check_power(driver: _Driver, k: int, start: tuple[float, float], km: float)
     """Check the mean power of step k against the sustained discharge limit."""
     energy, temp = driver.state[ENERGY], driver.state[TEMPERATURE]
     mean = (start[0] - energy) / float(driver.instance.drive.duration_h[k])
-    limit = driver.car.discharge_limit(0.5 * (start[0] + energy), 0.5 * (start[1] + temp))
+    limit = driver.edge.discharge_limit(0.5 * (start[0] + energy), 0.5 * (start[1] + temp))
     driver.note("power above the discharge limit", km, mean - limit, "kW", EXCESS_KW)
 
 

@@ -27,7 +27,7 @@ ONLY_IN = {
 }
 """Third parties, and the only files that may name them."""
 
-JUDGES = {"relax/certify.py", "relax/replay.py"}
+JUDGES = {"relax/certify.py", "relax/commands.py", "relax/exact.py", "relax/replay.py"}
 """They neither solve nor write programs."""
 
 WRITERS = {
@@ -65,6 +65,8 @@ PROVES = {
     "relax/certify.py",
     "relax/bound.py",
     "relax/tighten.py",
+    "relax/commands.py",
+    "relax/exact.py",
     "relax/replay.py",
 }
 
