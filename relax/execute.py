@@ -90,6 +90,8 @@ def _tightened(instance: Instance, driven: Replay, margin: float) -> Instance:
             instance = replace(instance, temperature_max_c=instance.temperature_max_c - amount)
         elif violation.unit == "K":
             instance = replace(instance, temperature_min_c=instance.temperature_min_c + amount)
+        elif violation.unit == "kWh" and "above" in violation.rule:
+            instance = replace(instance, energy_max_kwh=instance.energy_max_kwh - amount)
         elif violation.unit == "kWh":
             instance = replace(
                 instance,
