@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from relax.instance import Instance
+from relax.instance import LEAST_ROOM_KW, Instance
 from relax.plan import Trajectory
 
 __all__ = ["CellExpansion", "DriveExpansion", "convex_part", "expand_cells", "expand_drive"]
@@ -207,7 +207,7 @@ def expand_cells(
     )
     table = vehicle.pack.charge_limit_kw
     p, p_e, p_t, p_ee, p_et, p_tt = table.jet(middle, temp)
-    inv = 1.0 / p
+    inv = 1.0 / np.maximum(p, LEAST_ROOM_KW)  # a battery that takes no charge: as simulated
     tau_e, tau_t = -p_e * inv**2, -p_t * inv**2
     least = _term(
         e * inv,

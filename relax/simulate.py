@@ -13,7 +13,8 @@ from math import inf
 
 import numpy as np
 
-from relax.instance import Instance, Stop
+from relax.commands import check_controls
+from relax.instance import LEAST_ROOM_KW, Instance, Stop
 from relax.plan import Controls, StopControls, StopTrajectory, Trajectory
 from relax.step import Car, StepResult, charge, drive_rows, drive_step
 
@@ -73,6 +74,21 @@ class Thermostat:
     stops_c: Sequence[Sequence[float]]
 
 
+class _Trickle(Car):
+    """The car if its battery never refused charge altogether; by how much it does is an excess."""
+
+    def __init__(self, instance: Instance) -> None:
+        super().__init__(instance)
+        self._limit = self.charge_limit
+        self.charge_limit = lambda energy, temp: max(self._limit(energy, temp), LEAST_ROOM_KW)
+
+    def excess_kw(self, done: StopTrajectory) -> float:
+        """Return the largest excess over the battery's own limit at the middle of a cell [kW]."""
+        energy, temp = (0.5 * (x[1:] + x[:-1]) for x in (done.energy_kwh, done.temperature_c))
+        middles = zip(energy.tolist(), temp.tolist(), done.power_kw.tolist(), strict=True)
+        return max(float(power - self._limit(e, t)) for e, t, power in middles)
+
+
 class Simulation:
     """Simulates one instance again and again, keeping what a change leaves untouched.
 
@@ -90,6 +106,7 @@ class Simulation:
     def __init__(self, instance: Instance) -> None:
         self.instance = instance
         self._car = Car(instance)
+        self._trickle: _Trickle | None = None
         self.drive_rows = drive_rows(instance.drive)
         self._at_stop: list[_Walk] = []
         self.worth = 1.0
@@ -150,7 +167,7 @@ class Simulation:
         settings = zip(
             self.drive_rows[begin:end],
             controls.heater_kw[begin:end].tolist(),
-            np.minimum(controls.cooling_kw[begin:end], car.cooling_kw).tolist(),
+            np.clip(controls.cooling_kw[begin:end], 0.0, car.cooling_kw).tolist(),
             controls.heat_pump_kw[begin:end].tolist(),
             least[begin + 1 : end + 1].tolist(),
             self._thermostat.drive_c[begin:end],
@@ -171,15 +188,20 @@ class Simulation:
 
     def _stop(self, walk: _Walk, controls: Controls, i: int) -> None:
         """Charge at stop i."""
-        stop = self.instance.stops[i]
-        done, excess = charge(
-            self._car,
-            stop,
-            controls.stops[i],
-            walk.energy - stop.detour_in_kwh,
-            walk.temp,
-            self._thermostat.stops_c[i],
-        )
+        stop, wanted = self.instance.stops[i], controls.stops[i]
+        if not (wanted.energy_kwh > 0.0 and wanted.power_kw.min() > 0.0):
+            check_controls(self.instance, controls)
+        if wanted.cooling_kw.min() < 0.0:
+            wanted = replace(wanted, cooling_kw=np.maximum(wanted.cooling_kw, 0.0))
+        arrive = walk.energy - stop.detour_in_kwh
+        caps = self._thermostat.stops_c[i]
+        try:
+            done, excess = charge(self._car, stop, wanted, arrive, walk.temp, caps)
+        except ZeroDivisionError:  # the battery's limit is 0 somewhere: that cell would never end
+            if self._trickle is None:
+                self._trickle = _Trickle(self.instance)
+            done, excess = charge(self._trickle, stop, wanted, arrive, walk.temp, caps)
+            excess = max(excess, self._trickle.excess_kw(done))
         first, last = float(done.energy_kwh[0]), float(done.energy_kwh[-1])
         dwell = float(done.dwell_h.sum())
         walk.cost += stop_cost(stop, dwell, float(done.grid_kwh.sum()))
@@ -240,14 +262,22 @@ def simulate(instance: Instance, controls: Controls) -> Trajectory:
     controls : Controls
         Powers per step and cell; clipped to the actuators, the cabin's demand
         and the charge limits where they exceed them. The battery heater never
-        heats beyond the battery's temperature limit.
+        heats beyond the battery's temperature limit. Every stop charges: its
+        energy and its planned powers are above 0.
 
     Returns
     -------
     Trajectory
         Exact for the transcription (equations (T1) .. (T9) of ``docs/maths.md``),
         feasible in the dynamics; limits of energy, temperature, discharge power
-        and dwell may be violated, by the amounts it states.
+        and dwell may be violated, by the amounts it states. A battery that takes no charge
+        at all is charged with 0.02 kW: its excess is a violation, and so is that dwell.
+
+    Raises
+    ------
+    InputError
+        Controls mean nothing: another number of values, no number, a stop without energy or
+        with a charging power that is not above 0. Names the command.
 
     Examples
     --------
@@ -257,6 +287,7 @@ def simulate(instance: Instance, controls: Controls) -> Trajectory:
     >>> len(trajectory.stops), trajectory.power_kw.shape
     (2, (100,))
     """
+    check_controls(instance, controls)
     return Simulation(instance).run(controls)
 
 

@@ -433,6 +433,19 @@ def test_violations_are_stated_with_their_amounts() -> None:
     assert s.violation[3] == pytest.approx(80.0 / 49.5 - 1.5, abs=1e-9)
 
 
+def test_a_battery_that_takes_no_charge_is_a_violation_not_an_error() -> None:
+    """Its limit is 0 in the cold: 0.02 kW too much, and a dwell of days."""
+    cold = Table2([0.0, 1.0], [-40.0, 10.0, 60.0], [[0.0, 0.0, 90.0], [0.0, 0.0, 90.0]])
+    instance = make_instance(small_trip(pack__charge_limit_soc_kw=cold), (0,))
+    t = simulate(instance, idle_controls(instance, (5.0,)))
+    assert np.all(np.isfinite(t.violation))
+    assert t.violation[2] == pytest.approx(0.02, abs=1e-9)
+    assert t.violation[3] == pytest.approx(5.0 / 0.02 - 4.0, rel=0.5)
+    assert t.stops[0].power_kw.min() == pytest.approx(0.02)
+    warm = replace(instance, start_temperature_c=30.0)
+    assert simulate(warm, idle_controls(warm, (5.0,))).violation[2] == 0.0
+
+
 def test_the_discharge_limit_is_watched() -> None:
     weak = Table2([0.0, 1.0], [-40.0, 60.0], np.full((2, 2), 12.0))
     instance = make_instance(toy_trip(pack__discharge_limit_soc_kw=weak), ())
