@@ -1,21 +1,33 @@
 """Owns the answer for a trip that cannot be planned: how far the car gets, and what would help.
 
 Drives as far as possible (every charger in reach, charged full, no battery
-heating). An estimate to act on, not a proof: proofs stand in the ledger.
+heating). If that gets there, another limit is in the way: which one is found by
+planning without it, and only what led to a plan is named. An estimate to act on,
+not a proof: proofs stand in the ledger.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from math import ceil, inf
 
 import numpy as np
 
 from relax.instance import MIN_CHARGE_KWH, Drive, Instance, make_instance
+from relax.plan import Trajectory
+from relax.refinement import refine
 from relax.simulate import Simulation
-from relax.starts import even_start
+from relax.starts import best_start, even_start
 from relax.trip import Trip
 
 __all__ = ["Diagnosis", "diagnose"]
+
+SPARE = 1.01
+"""Factor on the time that a plan without a limit takes: for the drive, which may take longer."""
+ALL_TIME, ONE_DWELL = "the time for charging and detours", "the longest dwell"
+TOGETHER = " together with "
+MAX_TRIED = 8
+"""Up to this many chargers in reach each is tried alone; of more those that a plan used."""
 
 
 @dataclass(frozen=True)
@@ -31,7 +43,8 @@ class Diagnosis:
     reason : str
         One sentence.
     remedies : tuple of str
-        Changes that would help, each by itself, as estimates.
+        Changes that would help, each by itself, as estimates. Those of time limits were
+        tried: there is a plan with them. Two limits that only help together are one remedy.
     """
 
     reach_km: float
@@ -40,8 +53,8 @@ class Diagnosis:
     remedies: tuple[str, ...]
 
 
-def _drive_full(trip: Trip, drive: Drive) -> tuple[Instance, Simulation, np.ndarray, list[float]]:
-    """Drive with every charger in reach charged full; return the energies and the dwells."""
+def _drive_full(trip: Trip, drive: Drive) -> tuple[Instance, np.ndarray]:
+    """Drive with every charger in reach charged full; return the energies."""
     order = sorted(range(len(trip.chargers)), key=lambda i: trip.chargers[i].position_km)
     used: list[int] = []
     for charger in [*order, -1]:
@@ -63,12 +76,7 @@ def _drive_full(trip: Trip, drive: Drive) -> tuple[Instance, Simulation, np.ndar
         on_the_way = np.all(trajectory.energy_kwh[:node] >= instance.energy_min_kwh[:node])
         if on_the_way and trajectory.energy_kwh[node] - spec.detour_in_kwh >= least:
             used.append(charger)
-    return (
-        instance,
-        simulation,
-        trajectory.energy_kwh,
-        [float(s.dwell_h.sum()) for s in trajectory.stops],
-    )
+    return instance, trajectory.energy_kwh
 
 
 def diagnose(trip: Trip, drive: Drive) -> Diagnosis:
@@ -81,13 +89,13 @@ def diagnose(trip: Trip, drive: Drive) -> Diagnosis:
     drive : Drive
         Its driving steps.
     """
-    instance, _, energy, dwell = _drive_full(trip, drive)
+    instance, energy = _drive_full(trip, drive)
     least = instance.energy_min_kwh
     pack = trip.vehicle.pack
     short = np.flatnonzero(energy < least - 1e-6)
     length = trip.route.length_km
     if short.size == 0:
-        return _other_limit(trip, instance, dwell)
+        return _other_limit(trip, instance)
     end_only = short[0] == drive.n_steps and energy[-1] >= pack.energy_kwh(trip.soc_min.at(length))
     k = int(short[0])
     above, below = energy[k - 1] - least[k - 1], energy[k] - least[k]
@@ -118,21 +126,76 @@ def diagnose(trip: Trip, drive: Drive) -> Diagnosis:
     return Diagnosis(reach, missing, reason, tuple(remedies))
 
 
-def _other_limit(trip: Trip, instance: Instance, dwell: list[float]) -> Diagnosis:
+def _needed(
+    trip: Trip, everywhere: Instance, dwells: frozenset[int], time: bool
+) -> dict[int, str] | None:
+    """Plan without the longest dwell at some chargers, or without the limit of all time.
+
+    Begins with every charger in reach and leaves out those that charge least.
+
+    Returns
+    -------
+    dict of int to str, or None
+        By charger (-1: of all time) the values of the limits left out that the plan needs;
+        None if no plan is found.
+    """
+    subset = everywhere.subset
+    while True:
+        own = make_instance(trip, subset, drive=everywhere.drive)
+        stops = tuple(replace(s, max_dwell_h=inf) if s.charger in dwells else s for s in own.stops)
+        free = replace(own, stops=stops, total_dwell_h=inf if time else own.total_dwell_h)
+        found = refine(free, best_start(free, None, 0.0))
+        if found.feasible:
+            return _exceeded(trip, own, found.trajectory)
+        if not subset:
+            return None
+        charged = {
+            s.charger: float(t.energy_kwh[-1] - t.energy_kwh[0])
+            for s, t in zip(own.stops, found.trajectory.stops, strict=True)
+        }
+        # those that may stay as long as they like go last; a quarter at once: few tries
+        order = sorted(subset, key=lambda c: (c in dwells, charged[c]))
+        gone = set(order[: (len(order) + 3) // 4])
+        subset = tuple(c for c in subset if c not in gone)
+
+
+def _exceeded(trip: Trip, instance: Instance, plan: Trajectory) -> dict[int, str]:
+    """Return the limits of time that a plan exceeds, each as a value that it would keep."""
+    hours = [float(s.dwell_h.sum()) for s in plan.stops]
+    needed: dict[int, str] = {}
+    if sum(hours) > instance.total_dwell_h:
+        spent = sum(hours) + sum(s.detour_h for s in instance.stops)
+        needed[-1] = f"limits.stop_time_h of about {ceil(SPARE * spent * 100.0) / 100.0:g}"
+    for stop, dwell in zip(instance.stops, hours, strict=True):
+        if dwell > stop.max_dwell_h:
+            field = f"charger.{trip.chargers[stop.charger].name}.max_dwell_min"
+            needed[stop.charger] = f"{field} of about {ceil(SPARE * dwell * 60.0)}"
+    return needed
+
+
+def _other_limit(trip: Trip, everywhere: Instance) -> Diagnosis:
     """Return the diagnosis when energy suffices but another limit stands in the way."""
-    slow = [
-        f"charger.{trip.chargers[s.charger].name}.max_dwell_min above {s.max_dwell_h * 60.0:.0f}"
-        for s, hours in zip(instance.stops, dwell, strict=True)
-        if hours > s.max_dwell_h
-    ]
-    late = sum(dwell) > instance.total_dwell_h
-    if late:
-        slow.append(f"limits.stop_time_h above {trip.stop_time_h:g}")
+    every, none = frozenset(everywhere.subset), frozenset[int]()
+    limited = everywhere.total_dwell_h < inf
+    remedies: list[str] = []
+    reasons: list[str] = []
+    if limited:
+        needed = _needed(trip, everywhere, none, time=True)
+        if needed:
+            remedies += needed.values()
+            reasons.append(ALL_TIME)
+    needed = _needed(trip, everywhere, every, time=False)
+    if needed:
+        tried = sorted(every) if len(every) <= MAX_TRIED else [*needed]
+        single = [_needed(trip, everywhere, frozenset([c]), time=False) for c in tried]
+        alone = [text for one in single if one for text in one.values()]
+        remedies += alone or [TOGETHER.join(needed.values())]
+        reasons.append(ONE_DWELL)
+    if limited and not remedies:
+        needed = _needed(trip, everywhere, every, time=True)
+        if needed:
+            remedies.append(TOGETHER.join(needed.values()))
+            reasons.append(f"{ALL_TIME} and {ONE_DWELL}")
     reason = "the energy of the chargers would suffice, but another limit stands in the way: "
-    if late:
-        reason += "the time for charging and detours"
-    elif slow:
-        reason += "the longest dwell"
-    else:
-        reason += "temperature, discharge power or the least energy"
-    return Diagnosis(trip.route.length_km, 0.0, reason, tuple(slow))
+    reason += " or ".join(reasons) or "temperature, discharge power or the least energy"
+    return Diagnosis(trip.route.length_km, 0.0, reason, tuple(remedies))
