@@ -26,10 +26,12 @@ bench: $(VENV)/.dev  ## compare with all peers; takes hours, resumes where it wa
 	$(BIN)/python -m benchmarks.compare
 	$(BIN)/python -m benchmarks.scale
 	$(BIN)/python -m benchmarks.floor
+	$(BIN)/python -m benchmarks.judges
 	$(BIN)/python -m benchmarks.report
 	$(BIN)/python -m benchmarks.optimality --resume
 	$(BIN)/python -m benchmarks.speed
 	$(BIN)/python -m benchmarks.proofs
+	$(BIN)/python -m benchmarks.evidence
 
 bench-smoke: $(VENV)/.dev  ## one small case of each benchmark
 	$(BIN)/python -m benchmarks.optimality --smoke
@@ -37,6 +39,8 @@ bench-smoke: $(VENV)/.dev  ## one small case of each benchmark
 	$(BIN)/python -m benchmarks.compare --smoke
 	$(BIN)/python -m benchmarks.scale --smoke
 	$(BIN)/python -m benchmarks.floor --smoke
+	$(BIN)/python -m benchmarks.proofs --smoke
+	$(BIN)/python -m benchmarks.evidence --smoke
 	$(BIN)/python -m benchmarks.report --smoke
 	$(BIN)/python -m benchmarks.proofs --smoke
 

@@ -27,6 +27,7 @@ from tqdm import tqdm
 from benchmarks.cases import CASES, SMOKE, Case
 from benchmarks.rows import RESULTS, Row, RowFile, number
 from benchmarks.sources import code_digest
+from benchmarks.words import counted
 from enumerate import plan
 
 __all__ = ["COLUMNS", "Task", "main", "measure", "summarise", "tasks"]
@@ -128,7 +129,7 @@ def summarise(rows: list[Row]) -> str:
     >>> print(summarise([row]))
     | gap asked for | | reached | time | programs |
     |---:|---|---:|---:|---:|
-    | 1 % | 1 variants of `paper-400km` | 1 of 1 | 2.0 s (2.0 to 2.0) | 40 (40 to 40) |
+    | 1 % | 1 variant of `paper-400km` | 1 of 1 | 2.0 s (2.0 to 2.0) | 40 (40 to 40) |
     | | - of these within 1 s, 5 s, 20 s | 0, 1, 1 | | |
     """
     lines = ["| gap asked for | | reached | time | programs |", "|---:|---|---:|---:|---:|"]
@@ -141,7 +142,7 @@ def summarise(rows: list[Row]) -> str:
         good = [row for row in group if number(row, "gap") <= gap * (1.0 + 1e-9)]
         times, programs = ([number(r, name) for r in group] for name in ("total_s", "programs"))
         lines.append(
-            f"| {100 * gap:g} % | {len(group)} variants of `paper-400km` | {len(good)} of "
+            f"| {100 * gap:g} % | {counted(len(group), 'variant')} of `paper-400km` | {len(good)} of "
             f"{len(group)} | {median(times):.1f} s ({min(times):.1f} to {max(times):.1f}) | "
             f"{median(programs):.0f} ({min(programs):.0f} to {max(programs):.0f}) |"
         )
