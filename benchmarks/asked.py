@@ -17,6 +17,7 @@ from benchmarks.contestants import FAST, OURS
 from benchmarks.rows import Row, is_true, number
 from benchmarks.runs import ASKED_GAP
 from benchmarks.verdicts import Cases, excess, is_as_claimed, judged_cost, latest
+from benchmarks.words import counted
 
 __all__ = ["COST_ABOVE_PEERS", "RATIOS", "TIMES_FLOOR", "asked", "asked_section", "missed"]
 
@@ -60,7 +61,7 @@ def _costs(cases: Cases) -> Iterator[Row]:
         above = f"{100.0 * apart[worst]:+.4f} %" if isfinite(apart[worst]) else "no plan"
         yield _entry(
             f"cost of `{ours}` at most {100.0 * COST_ABOVE_PEERS:g} % above the best of all others",
-            f"worst of {len(apart)} cases: {above} (`{worst}`)",
+            f"worst of {counted(len(apart), 'case')}: {above} (`{worst}`)",
             not beyond,
             f"cost at most {100.0 * COST_ABOVE_PEERS:g} % above the best of all others",
             f"missed by `{ours}` in {beyond} of {len(apart)} cases",
@@ -75,9 +76,12 @@ def _confirmed(cases: Cases) -> Iterator[Row]:
         return
     holds = [row for row in plans if isfinite(judged_cost(row))]
     right = [row for row in holds if is_as_claimed(row)]
-    words = f"of {len(plans)} plans {len(holds)} hold when driven, {len(right)} of them as claimed"
+    words = (
+        f"of {counted(len(plans), 'plan')} hold when driven: {len(holds)}; of these as claimed:"
+        f" {len(right)}"
+    )
     if len(rows) > len(plans):
-        words += f"; {len(rows) - len(plans)} runs ended without a plan"
+        words += f"; {counted(len(rows) - len(plans), 'run')} ended without a plan"
     yield _entry("the peers' costs confirmed by the judge", words, None)
 
 
@@ -149,8 +153,8 @@ def _floor(rows: list[Row]) -> Iterator[Row]:
         gap = "no gap asked for" if f["asked_gap"] is None else f"{100.0 * f['asked_gap']:g} % gap"
         yield _entry(
             f"our time at most {TIMES_FLOOR:g} times the solver's own, {gap}",
-            f"{f['times_floor']:.2f} ({f['least']:.2f} to {f['largest']:.2f}) on {f['cases']}"
-            " cases",
+            f"{f['times_floor']:.2f} ({f['least']:.2f} to {f['largest']:.2f}) on"
+            f" {counted(f['cases'], 'case')}",
             f["times_floor"] <= TIMES_FLOOR,
             f"our time at most {TIMES_FLOOR:g} times Clarabel's own",
             f"{f['times_floor']:.2f} with {gap}",

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from benchmarks.contestants import CONTESTANTS, FAST, OURS
 from benchmarks.probe import PARTS
 from benchmarks.rows import Row, is_true, number
-from benchmarks.scale import curves
+from benchmarks.scale import curves, shares, spread
 from benchmarks.verdicts import best_costs, excess, latest, peer_s
 from enumerate.gap import relative_gap
 
@@ -28,7 +28,8 @@ COLOURS = (
     "#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9", "#999999", "#000000",
 )  # fmt: skip
 """Colours that remain apart for the colour-blind (Okabe and Ito, 2008)."""
-MARKERS = "osD^vP*XdhH<>p"
+MARKERS = "os^DvP"
+"""Of the members of a family, and of kinds of case, in order."""
 STYLE: Any = {
     "font.size": 8, "axes.titlesize": 8, "axes.labelsize": 8, "legend.fontsize": 7,
     "xtick.labelsize": 7, "ytick.labelsize": 7, "axes.spines.top": False,
@@ -45,6 +46,8 @@ LEAST_EXCESS = 1e-3
 """Costs nearer to the best than this are drawn here [%]."""
 LEAST_GAP = 1e-2
 """Smaller gaps are drawn here [%]."""
+SLOW_S = 30.0
+"""Proofs that take longer are named in the picture [s]."""
 
 
 def _figure(width: float, height: float) -> Figure:
@@ -69,9 +72,22 @@ def _plain_ticks(ax: Axes) -> None:
             axis.set_minor_formatter(Plain())
 
 
+def _family(name: str) -> str:
+    return name.split("-", 1)[0]
+
+
 def _look(name: str) -> dict[str, Any]:
-    at = [c.name for c in CONTESTANTS].index(name)
-    return {"color": COLOURS[at % len(COLOURS)], "marker": MARKERS[at % len(MARKERS)]}
+    """Return colour and marker: one colour per family of solvers, only its first filled."""
+    names = [c.name for c in CONTESTANTS]
+    family = list(dict.fromkeys(map(_family, names))).index(_family(name))
+    member = [n for n in names if _family(n) == _family(name)].index(name)
+    colour = COLOURS[family]
+    return {
+        "marker": MARKERS[(family + member) % len(MARKERS)],
+        "edgecolors": colour,
+        "facecolors": "none" if member else colour,
+        "linewidths": 0.8,
+    }
 
 
 def _names(summary: Row, *kinds: str) -> Iterator[str]:
@@ -115,26 +131,47 @@ def _trace(row: Row) -> list[tuple[float, float]]:
 
 
 def gap_against_time(rows: list[Row], summary: Row) -> Figure:
-    """Draw the proved gap over the time, for who gives bounds."""
+    """Draw the proved gap over the time, for who gives bounds; a colour per kind of case."""
     cases = latest(rows)
-    figure = _figure(6.3, 3.2)
+    groups = list(dict.fromkeys(row["group"] for by in cases.values() for row in by.values()))
+    figure = _figure(6.3, 3.4)
     ax = figure.subplots()
-    for name in _names(summary):
-        if not summary["solvers"][name]["bounds"] or name == FAST:
+    shown: set[str] = set()
+    slow: list[tuple[float, float, str]] = []
+    for at, name in enumerate(n for n in _names(summary) if n != FAST):
+        if not summary["solvers"][name]["bounds"]:
             continue
-        label: str | None = name
-        for by in cases.values():
+        for case, by in cases.items():
             points = _trace(by[name]) if name in by else []
             if name in by and not points and is_true(by[name], "feasible"):
                 row = by[name]
                 gap = relative_gap(number(row, "replayed_cost"), number(row, "lower_bound"))
                 points = [(_times(row), 100.0 * gap)] if isfinite(gap) else []
-            if points:
-                x, y = zip(*points, strict=True)
-                look = _look(name)
+            if not points:
+                continue
+            x, y = zip(*points, strict=True)
+            group = groups.index(by[name]["group"])
+            label = f"{name}, {groups[group]}"
+            look: Any = {"color": COLOURS[group], "label": "" if label in shown else label}
+            if name == OURS:
                 ax.step(x, y, where="post", color=look["color"], linewidth=0.7, alpha=0.6)
-                ax.scatter(x[-1], y[-1], s=14, label=label, **look)
-                label = None
+                ax.scatter(x[-1], y[-1], s=14, marker=MARKERS[group], **look)
+            else:  # its end only
+                ax.scatter(x[-1], y[-1], s=22, marker="x+1"[at % 3], linewidths=1.2, **look)
+            shown.add(label)
+            if name == OURS and x[-1] >= SLOW_S:
+                slow.append((x[-1], y[-1], case))
+    reached = sorted(
+        (point for point in slow if point[1] <= 100.0 * (summary["asked_gap"] or 0.0)), reverse=True
+    )
+    for seconds, gap, case in slow:  # labels of proofs that end at the gap asked for are stacked
+        below = (seconds, gap, case) in reached
+        drop = -12.0 - 8.0 * reached.index((seconds, gap, case)) if below else 5.0
+        note = ax.annotate(
+            case.split("/", 1)[1] if case.startswith("corridor/") else case,
+            (seconds, gap), (-4.0, drop), textcoords="offset points", fontsize=6, ha="right",
+        )  # fmt: skip
+        note.set_in_layout(False)
     asked = summary["asked_gap"]
     if asked:
         ax.axhline(100.0 * asked, color="#999999", linewidth=0.7, linestyle="--")
@@ -194,30 +231,37 @@ def growth(rows: list[Row]) -> Figure:
     sweeps = list(dict.fromkeys(sweep for sweep, _ in found))
     figure = _figure(6.3, 4.0)
     grid = figure.subplots(2, len(sweeps), squeeze=False)
+    known: set[str] = set()
     for column, sweep in enumerate(sweeps):
         time, memory = grid[0][column], grid[1][column]
         for (name, gap), own in found.items():
             if name != sweep:
                 continue
-            words = "asked gap" if sweep == "gap" else f"gap {gap}" if gap else "no gap"
+            words = f"{100.0 * float(gap):g} % asked for" if gap else "no gap asked for"
             look = {"color": COLOURS[0 if gap or sweep == "gap" else 1], "linewidth": 1.0}
             for ended, marker in (("done", "o"), ("limit", "x")):
                 points = [row for row in own if row["ended"] == ended]
                 x = [float(row["value"]) for row in points]
                 line = "-" if ended == "done" else ""
-                label = words if ended == "done" else None
+                new = ended == "done" and sweep != "gap" and words not in known
+                label = words if new else None
+                known |= {words} if new else set()
                 seconds = [number(r, "total_s") for r in points]
                 time.plot(x, seconds, line, marker=marker, markersize=3, label=label, **look)
                 peak = [number(r, "memory_mb") for r in points]
                 memory.plot(x, peak, line, marker=marker, markersize=3, **look)
+                ends = [spread(r) for r in points]
+                time.vlines(x, *(zip(*ends, strict=True) if ends else ([], [])), lw=3, alpha=0.35,
+                            color=look["color"])  # fmt: skip
         _scales(time, sweep)
         _scales(memory, sweep)
         time.set_yscale("log")
         _plain_ticks(time)
         _plain_ticks(memory)
-        time.legend()
-        memory.set_xlabel(sweep)
-    grid[0][0].set_ylabel("time [s], x: time limit")
+        memory.set_xlabel("gap asked for" if sweep == "gap" else sweep)
+    if known:
+        figure.legend(loc="outside upper center", ncols=len(known))
+    grid[0][0].set_ylabel("time [s]\nx: time limit; bar: its runs")
     grid[1][0].set_ylabel("peak memory [MB]")
     return figure
 
@@ -233,8 +277,9 @@ def where_it_goes(rows: list[Row]) -> Figure:
     figure = _figure(6.3, 0.9 + 0.16 * len(points))
     ax = figure.subplots()
     left = [0.0] * len(points)
+    found = [shares(row) for row in points]
     for part, colour in zip((*PARTS, "rest"), COLOURS, strict=False):
-        share = [100.0 * number(r, f"{part}_s") / number(r, "total_s") for r in points]
+        share = [100.0 * each[part] for each in found]
         ax.barh(range(len(points)), share, left=left, color=colour, label=part, height=0.8)
         left = [a + b for a, b in zip(left, share, strict=True)]
     words = [
@@ -246,7 +291,7 @@ def where_it_goes(rows: list[Row]) -> Figure:
     ax.set_yticks(range(len(points)), words)
     ax.tick_params(axis="y", labelsize=5)
     ax.invert_yaxis()
-    ax.set(xlim=(0.0, 100.0), xlabel="share of the time [%]")
+    ax.set(xlim=(0.0, 100.0), xlabel="share of the parts' sum [%]")
     figure.legend(loc="outside upper center", ncols=len(PARTS) + 1)
     return figure
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import platform
+import tomllib
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
@@ -19,6 +20,7 @@ THREAD_VARIABLES = (
     "RAYON_NUM_THREADS",
 )
 """Environment variables that libraries read, once, when they are imported."""
+PROJECT = Path(__file__).parent.parent / "pyproject.toml"
 
 
 def make_single_threaded() -> None:
@@ -29,12 +31,26 @@ def make_single_threaded() -> None:
         os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
 
 
+def _of_checkout(name: str) -> str:
+    """Return the version that a checkout of a package states, marked as one."""
+    if PROJECT.is_file():
+        project = tomllib.loads(PROJECT.read_text(encoding="utf-8"))["project"]
+        if project["name"] == name:
+            return f"{project['version']}+checkout"
+    return "not installed"
+
+
 def versions() -> dict[str, str]:
     """Return versions of Python and of the packages that matter.
+
+    Run from a checkout, our own version is that of its ``pyproject.toml``, ``+checkout`` added:
+    which code that is say the digests of ``sources``.
 
     Examples
     --------
     >>> "python" in versions() and "numpy" in versions()
+    True
+    >>> versions()["evrelax"] != "not installed"
     True
     """
     found = {"python": platform.python_version()}
@@ -42,7 +58,7 @@ def versions() -> dict[str, str]:
         try:
             found[name] = version(name)
         except PackageNotFoundError:
-            found[name] = "not installed"
+            found[name] = _of_checkout(name)
     return found
 
 

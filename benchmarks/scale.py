@@ -11,10 +11,11 @@ command resumes. Exponents are fitted to the points that finished.
 from __future__ import annotations
 
 import argparse
+import json
 import sys
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
-from math import exp, isfinite, nan
+from math import exp, isfinite, log, nan, sqrt
 from pathlib import Path
 from typing import Any
 
@@ -41,6 +42,8 @@ __all__ = [
     "make_trip",
     "parts_table",
     "scale",
+    "shares",
+    "spread",
     "table",
 ]
 
@@ -60,6 +63,8 @@ COLUMNS = (*KEY, *MEASURED, "date", "processor", "versions")
 """Columns of the result file."""
 LEAST_POINTS = 3
 """Points that a fit needs."""
+TOLD_FROM_SCATTER = 2.0
+"""Standard errors that a slope must differ from zero by to be shown."""
 
 
 def make_trip(sweep: str, value: float) -> Trip:
@@ -133,10 +138,46 @@ def scale(
             file.append(key | where() | run_task(worker, task))
 
 
-def _slope(x: list[float], y: list[float]) -> float:
-    if len(x) < LEAST_POINTS or min(y) <= 0.0:
-        return nan
-    return float(np.polyfit(np.log(x), np.log(y), 1)[0])
+def _slope(x: list[float], y: list[float]) -> tuple[float, float]:
+    """Return the slope of a straight line through points and its standard error."""
+    if len(x) < LEAST_POINTS or not np.all(np.isfinite(x) & np.isfinite(y)):
+        return nan, nan
+    a, b = np.asarray(x) - np.mean(x), np.asarray(y) - np.mean(y)
+    slope = float(a @ b / (a @ a))
+    left = b - slope * a
+    return slope, sqrt(float(left @ left) / (len(x) - 2) / float(a @ a))
+
+
+def _log(values: list[float]) -> list[float]:
+    return [log(value) if value > 0.0 else nan for value in values]
+
+
+def spread(row: Row) -> tuple[float, float]:
+    """Return the least and the largest time of the runs of a point [s].
+
+    Examples
+    --------
+    >>> spread({"runs_s": "[0.4, 0.5, 0.3]"}), spread({"total_s": 2.0})
+    ((0.3, 0.5), (2.0, 2.0))
+    """
+    runs = json.loads(row["runs_s"]) if row.get("runs_s") else [number(row, "total_s")]
+    return min(runs), max(runs)
+
+
+def shares(row: Row) -> dict[str, float]:
+    """Return what share of the work every part is, and the rest; they add up to 1.
+
+    Parts are medians over runs each, so it is their sum that they are shares of.
+
+    Examples
+    --------
+    >>> found = shares({f"{part}_s": 1.0 for part in (*PARTS, "rest")})
+    >>> round(sum(found.values()), 12), list(found)[-1]
+    (1.0, 'rest')
+    """
+    spent = {name: max(number(row, f"{name}_s"), 0.0) for name in (*PARTS, "rest")}
+    total = sum(spent.values())
+    return {name: seconds / total for name, seconds in spent.items()}
 
 
 def curves(rows: Iterable[Row]) -> dict[tuple[str, str], list[Row]]:
@@ -155,6 +196,7 @@ def fits(rows: Iterable[Row]) -> list[dict[str, Any]]:
     """Return the exponents p of time and memory ~ value^p, by sweep and asked gap.
 
     For chargers also the factor per charger, of time ~ factor^N. Only points that finished count.
+    Each with its standard error, that of the factor being relative.
 
     Examples
     --------
@@ -169,17 +211,20 @@ def fits(rows: Iterable[Row]) -> list[dict[str, Any]]:
         x = [float(row["value"]) for row in done]
         seconds = [number(row, "total_s") for row in done]
         added = [number(row, "memory_mb") - number(row, "memory_before_mb") for row in done]
-        factor = nan
-        if sweep == "chargers" and len(x) >= LEAST_POINTS:
-            factor = exp(float(np.polyfit(x, np.log(seconds), 1)[0]))
+        time, memory = _slope(_log(x), _log(seconds)), _slope(_log(x), _log(added))
+        factor = _slope(x, _log(seconds)) if sweep == "chargers" else (nan, nan)
         found.append(
             {
                 "sweep": sweep,
                 "asked_gap": float(gap) if gap else None,
                 "points": len(done),
-                "time_exponent": _slope(x, seconds),
-                "memory_exponent": _slope(x, added),
-                "factor_per_charger": factor,
+                "measured": len(own),
+                "time_exponent": time[0],
+                "time_error": time[1],
+                "memory_exponent": memory[0],
+                "memory_error": memory[1],
+                "factor_per_charger": exp(factor[0]),
+                "factor_error": factor[1],
                 "ended_otherwise": {
                     f"{float(row['value']):g}": f"{row['ended']}: {row['message']}"
                     for row in own
@@ -198,22 +243,23 @@ def _gap_words(row: Row) -> str:
 def table(rows: Iterable[Row]) -> str:
     """Return the points in Markdown."""
     lines = [
-        "| varied | value | gap asked for | ended | time s | peak memory MB | programs "
-        "| cost | proved gap % |",
-        "|---|---:|---:|---|---:|---:|---:|---:|---:|",
+        "| varied | value | gap asked for | ended | time s | of its runs, least to largest "
+        "| peak memory MB | programs | cost | proved gap % |",
+        "|---|---:|---:|---|---:|---|---:|---:|---:|---:|",
     ]
     for own in curves(rows).values():
         for row in own:
             if not number(row, "total_s") > 0.0:
                 lines.append(
                     f"| {row['sweep']} | {float(row['value']):g} | {_gap_words(row)} "
-                    f"| {row['ended']}: {row['message']} | | | | | |"
+                    f"| {row['ended']}: {row['message']} | | | | | | |"
                 )
                 continue
-            gap = number(row, "gap")
+            gap, (least, largest) = number(row, "gap"), spread(row)
+            ranged = f"{least:.2f} to {largest:.2f}" if largest > least else "-"
             lines.append(
                 f"| {row['sweep']} | {float(row['value']):g} | {_gap_words(row)} | {row['ended']} "
-                f"| {number(row, 'total_s'):.2f} | {number(row, 'memory_mb'):.0f} "
+                f"| {number(row, 'total_s'):.2f} | {ranged} | {number(row, 'memory_mb'):.0f} "
                 f"| {number(row, 'programs'):.0f} | {number(row, 'cost'):.3f} "
                 f"| {f'{100.0 * gap:.2f}' if isfinite(gap) else '-'} |"
             )
@@ -221,10 +267,22 @@ def table(rows: Iterable[Row]) -> str:
 
 
 def fits_table(found: list[dict[str, Any]]) -> str:
-    """Return the fits in Markdown."""
+    """Return the fits in Markdown; what is not told from scatter gets no figure.
 
-    def show(value: float) -> str:
-        return f"{value:.2f}" if isfinite(value) else "-"
+    Examples
+    --------
+    >>> fit = {"sweep": "cells", "asked_gap": None, "points": 5, "measured": 5,
+    ...     "time_exponent": 0.1, "time_error": 0.17, "memory_exponent": 0.63,
+    ...     "memory_error": 0.04, "factor_per_charger": nan, "factor_error": nan}
+    >>> print(fits_table([fit]).splitlines()[-1])
+    | cells | none | 5 of 5 | scatter | 0.63 ± 0.04 | - |
+    """
+
+    def show(value: float, error: float) -> str:
+        if not isfinite(value):
+            return "-"
+        told = abs(value) > TOLD_FROM_SCATTER * error
+        return f"{value:.2f} ± {error:.2f}" if told else "scatter"
 
     lines = [
         "| varied | gap asked for | points | time ~ value^p, p | memory added ~ value^p, p "
@@ -235,10 +293,15 @@ def fits_table(found: list[dict[str, Any]]) -> str:
         gap = "varied" if f["sweep"] == "gap" else "none"
         if f["asked_gap"] is not None:
             gap = f"{100.0 * f['asked_gap']:g} %"
-        factor = f["factor_per_charger"]
+        factor, error = f["factor_per_charger"], f["factor_error"]
+        further = "-"
+        if isfinite(factor):
+            told = abs(log(factor)) > TOLD_FROM_SCATTER * error
+            further = f"x {factor:.2f} ± {factor * error:.2f}" if told else "scatter"
         lines.append(
-            f"| {f['sweep']} | {gap} | {f['points']} | {show(f['time_exponent'])} "
-            f"| {show(f['memory_exponent'])} | {f'x {show(factor)}' if isfinite(factor) else '-'} |"
+            f"| {f['sweep']} | {gap} | {f['points']} of {f['measured']} "
+            f"| {show(f['time_exponent'], f['time_error'])} "
+            f"| {show(f['memory_exponent'], f['memory_error'])} | {further} |"
         )
     return "\n".join(lines)
 
@@ -253,11 +316,10 @@ def parts_table(rows: Iterable[Row]) -> str:
     for own in curves(rows).values():
         done = [row for row in own if number(row, "total_s") > 0.0]
         for row in done if len(done) <= 2 else (done[0], done[-1]):
-            total = number(row, "total_s")
-            shares = " | ".join(f"{100.0 * number(row, f'{n}_s') / total:.0f}" for n in names)
+            cells = " | ".join(f"{100.0 * share:.0f}" for share in shares(row).values())
             lines.append(
-                f"| {row['sweep']} | {float(row['value']):g} | {_gap_words(row)} | {total:.2f} "
-                f"| {shares} |"
+                f"| {row['sweep']} | {float(row['value']):g} | {_gap_words(row)} "
+                f"| {number(row, 'total_s'):.2f} | {cells} |"
             )
     return "\n".join(lines)
 

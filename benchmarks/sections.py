@@ -1,4 +1,4 @@
-"""Owns the sections of the benchmark page but its first paragraph: lines of Markdown from figures.
+"""Owns the sections of the benchmark page: lines of Markdown from figures.
 
 Every function takes a summary (``summary.summarise``) or rows and returns lines; nothing is
 computed here that a test of ``summary`` would have to know.
@@ -14,6 +14,7 @@ from benchmarks.compare import REPEAT_BELOW_S
 from benchmarks.contestants import CONTESTANTS, FAST, OURS
 from benchmarks.rows import Row, is_true, number
 from benchmarks.verdicts import latest
+from benchmarks.words import counted, percent, plain, some
 from enumerate.gap import relative_gap
 
 __all__ = [
@@ -22,60 +23,25 @@ __all__ = [
     "contestants_section",
     "floor_section",
     "growth_section",
-    "head",
-    "percent",
-    "plain",
     "savings_section",
-    "some",
     "time_section",
 ]
 
-NAMED = 3
-"""Cases that a sentence names at most."""
-
-
-def percent(share: float | None, digits: int = 2) -> str:
-    """Return a share in percent; a dash if there is none."""
-    return "-" if share is None else f"{100.0 * share:.{digits}f} %"
-
-
-def plain(value: float | None, digits: int = 2) -> str:
-    """Return a number; a dash if there is none."""
-    return "-" if value is None else f"{value:.{digits}f}"
-
-
-def some(cases: list[str]) -> str:
-    """Return the first few cases by name and the number of the others."""
-    more = f" and {len(cases) - NAMED} more" if len(cases) > NAMED else ""
-    return ", ".join(f"`{case}`" for case in cases[:NAMED]) + more
-
-
-def head(summary: Row, command: str) -> list[str]:
-    """Return when, where and with what it was measured."""
-    dates = summary["dates"]
-    when = dates[0] if len(dates) == 1 else f"{dates[0]} to {dates[-1]}"
-    machine, packages = "; ".join(summary["processors"]), "; ".join(summary["versions"])
-    packages = packages.replace(" evrelax=not installed", "")  # run from a checkout
-    return [
-        f"Written by `{command}`; do not edit. Measured on {when} on {machine} with {packages}."
-        " One thread, one core. The machine may be shared and noisy: ratios say more than times.",
-        *(
-            [f"The judge changed between rows: {len(summary['judges'])} versions of it."]
-            if len(summary["judges"]) > 1
-            else []
-        ),
-    ]
-
-
 WORDS = {
-    "paper": "variants of `paper-400km` (-10, 0, 10 C; heat pump 0, 1, 3 kW; 0, 40, 400 SEK/h)",
-    "corridor": "other shipped trips",
-    "random": f"random trips (of the seeds {SEEDS[0]} to {SEEDS[-1]}, none left out)",
-}
+    "paper": (
+        "variant", " of `paper-400km` (-10, 0, 10 C; heat pump 0, 1, 3 kW; 0, 40, 400 SEK/h)"
+    ),
+    "corridor": ("other shipped trip", ""),
+    "random": ("random trip", f" (of the seeds {SEEDS[0]} to {SEEDS[-1]}, none left out)"),
+}  # fmt: skip
+"""Kinds of case: a noun and what follows it."""
 
 
 def _groups(summary: Row) -> str:
-    return ", ".join(f"{n} {WORDS.get(group, group)}" for group, n in summary["groups"].items())
+    named = {group: WORDS.get(group, (f"{group} case", "")) for group in summary["groups"]}
+    return ", ".join(
+        counted(n, named[group][0]) + named[group][1] for group, n in summary["groups"].items()
+    )
 
 
 def contestants_section(summary: Row) -> list[str]:
@@ -84,10 +50,17 @@ def contestants_section(summary: Row) -> list[str]:
     lines = [
         "## Who and what",
         "",
-        f"{summary['cases']} cases: {_groups(summary)}. Settings: {settings}. Nobody has a plan"
-        f" in {len(summary['without_plan'])}"
+        f"{counted(summary['cases'], 'case')}: {_groups(summary)}. Settings: {settings}."
+        f" Nobody has a plan in {len(summary['without_plan'])}"
         + (f" ({some(summary['without_plan'])})" if summary["without_plan"] else "")
         + ".",
+        "",
+        "`code=` is a fingerprint of the code that decides a solver's result: the first ten digits"
+        " of a SHA-256 over the syntax trees of its module and of all modules of ours that this"
+        " one imports, comments and docstrings left out (`benchmarks/sources.py`). Equal digits:"
+        " equal code. Several in a cell: each kind of case was measured with the code named, and"
+        " kinds with different digits show two states of that solver. `python -m"
+        " benchmarks.compare` measures again what has other digits than the checkout.",
         "",
         "| solver | what it is | version |",
         "|---|---|---|",
@@ -106,14 +79,16 @@ def claims_section(summary: Row) -> list[str]:
         "## Claims and what the judge says",
         "",
         "Every plan, ours too, is driven on the continuous model by the same judge"
-        " (`benchmarks/judge.py`). *Holds*: drives, perhaps after one repair by our refinement"
+        " (`benchmarks/judge.py`). *Cases for which anyone has a plan*: of"
+        " those that the solver was run on; the columns to *correct* count among them. *Holds*:"
+        " drives, perhaps after one repair by our refinement"
         " (*repaired*). *Correct*: holds as it is, at a cost within "
         f"{percent(summary['claim_tolerance'], 1)} of the claim. *Above best*: judged cost over"
         " the best judged cost of any solver, less 1. *Gap*: judged cost against the solver's own"
         " bound; *undercut*: bounds above the cost of a known plan on the transcription.",
         "",
-        "| solver | cases with a plan | holds | repaired | correct | above best: mean | worst"
-        " | bounds | undercut | gap: median | largest |",
+        "| solver | cases for which anyone has a plan | holds | repaired | correct"
+        " | above best: mean | worst | bounds | undercut | gap: median | largest |",
         "|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|",
     ]
     for name, s in summary["solvers"].items():
@@ -162,8 +137,8 @@ def time_section(summary: Row) -> list[str]:
             " could be kept.",
             "",
             "| peer | against | cases | in one run | with building: geometric mean"
-            " (least to largest) | solving alone | cheaper there | cheaper here"
-            " | plan only there | only here |",
+            " (least to largest) | solving alone | peer cheaper | evrelax cheaper"
+            " | only the peer has a plan | only evrelax has one |",
             "|---|---|---:|---:|---:|---:|---:|---:|---:|---:|",
         ]
     for a in summary["against"]:
@@ -270,8 +245,12 @@ def growth_section(rows: list[Row]) -> list[str]:
         "",
         f"`python -m benchmarks.scale`: one trip of `paper-400km` ({scale.BASE[0]:g} C, heat pump"
         f" {scale.BASE[1]:g} kW, {scale.BASE[2]:g} SEK/h), one thing varied at a time. Each"
-        " point in a process of its own; memory is its peak. What the time limit stopped counts in"
-        " no fit." + _code(rows),
+        " point in a process of its own; memory is its peak. Fits are straight lines through"
+        " logarithms, with their standard errors; what the time limit stopped counts in none, so"
+        " a line through few of the points flatters. *Scatter*: the slope differs from zero by"
+        f" less than {scale.TOLD_FROM_SCATTER:g} standard errors. *Of its runs*: those of a point"
+        " follow one another; a load that changes between points is not in their spread."
+        + _code(rows),
         "",
         scale.fits_table(scale.fits(rows)),
         "",
@@ -279,7 +258,8 @@ def growth_section(rows: list[Row]) -> list[str]:
         "",
         "### Where the time goes",
         "",
-        "First and last point of each sweep. *Reach*: boxes; *certify*: safe bounds; *refine*:"
+        "First and last point of each sweep, shares of the sum of all parts; each part is the"
+        " median of its runs. *Reach*: boxes; *certify*: safe bounds; *refine*:"
         " everything of it but its quadratic programs, which are under *solve*.",
         "",
         scale.parts_table(rows),

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from claimed import row
 
-from benchmarks import compare, floor, report
+from benchmarks import compare, evidence, floor, judges, report
 from benchmarks.cases import CASES, SMOKE, Case, digest, select
 from benchmarks.compare import COLUMNS, KEY
 from benchmarks.contestants import CONTESTANTS, FAST, OURS, Contestant, find
@@ -254,3 +254,50 @@ def test_floor_writes_both_gaps_and_resumes(
     assert int(rows[1]["programs"]) > int(rows[0]["programs"])
     assert floor.main(["--cases", SMOKE.name, "--file", str(target)]) == 0
     assert len(read_rows(target)) == 2 and "| 1 % | 1 |" in capsys.readouterr().out
+
+
+def test_audits_are_measured_by_round_and_resume(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Worker, "run", in_this_process)
+    tasks = (evidence.Task("smoke", SMOKE.load, 0.05), evidence.Task("other", SMOKE.load, 0.1))
+    monkeypatch.setattr(evidence, "TASKS", tasks)
+    target = tmp_path / "evidence.csv"
+    command = ["--file", str(target), "--repeats", "2"]
+    assert evidence.main([*command, "--trips", "smoke"]) == 0
+    rows = read_rows(target)
+    assert [row["round"] for row in rows] == ["1", "2"]
+    for found in rows:
+        assert found["holds"] == "True" and int(found["boxes"]) > 1 < int(found["programs"])
+        assert 0.0 < float(found["audit_s"]) and float(found["duals_mb"]) > 0.0
+        assert float(found["lower_bound"]) >= 0.95 * float(found["cost"])
+    said = capsys.readouterr().out
+    assert f"| `smoke` (N = 2) | 5 % | {rows[0]['boxes']} | 0 |" in said
+    assert "Medians of 2 rounds." in said
+    assert evidence.main(command) == 0
+    assert read_rows(target)[:2] == rows and len(read_rows(target)) == 4
+    with pytest.raises(SystemExit):
+        evidence.main(["--trips", "nowhere"])
+    newer = rows[0] | {"version": "new", "boxes": "99", "holds": "False"}
+    text = evidence.table([*rows, newer])
+    assert "| 99 |" in text and "Medians of 1 round." in text  # rows of two codes are not mixed
+    assert "Audits that do not hold: smoke." in text
+
+
+def in_this_process(
+    worker: Worker, module: str, function: str, arguments: tuple[Any, ...], limit_s: float
+) -> Any:
+    return getattr(sys.modules[module], function)(*arguments)
+
+
+def test_plans_are_made_and_judged_again(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rows, target = tmp_path / "compare.csv", tmp_path / "judges.csv"
+    file = RowFile(rows, COLUMNS, KEY)
+    compare.compare((SMOKE,), find([FAST]), file, repeats=1)
+    command = ["--rows", str(rows), "--file", str(target)]
+    assert judges.main(command) == 0 == judges.main(command)
+    (again,) = read_rows(target)
+    assert judges.is_same_plan(again) and judges.moved(again) < 1e-9
+    assert "1 of 1 rows have the same plan again" in capsys.readouterr().out
