@@ -7,30 +7,51 @@ nothing of programs or bounds: it loads, plans, and prints what comes back.
 from __future__ import annotations
 
 import sys
-from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NoReturn, TextIO
+from typing import TYPE_CHECKING, Literal, TextIO
 
 import click
 
 from enumerate.cli_audit import audit
+from enumerate.cli_exit import (
+    BAD_INPUT,
+    INFEASIBLE,
+    INTERRUPTED,
+    NOT_WRITTEN,
+    PLANNED,
+    STOPPED,
+    Group,
+    abandon,
+    before_planning,
+    fail,
+)
+from enumerate.cli_options import GAP, QUIET, SECONDS, WORKERS, one_word, settings
+from enumerate.cli_output import (
+    STDOUT,
+    check_files,
+    check_folder,
+    say,
+    show_progress,
+    write_all,
+    write_text,
+)
 from enumerate.cli_studies import pareto, sweep
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
-    from enumerate.explore import Progress
     from enumerate.result import Result
-    from relax.errors import InputError
     from relax.trip import Trip
 
-__all__ = ["main", "show_versions"]
+__all__ = [
+    "BAD_INPUT",
+    "INFEASIBLE",
+    "INTERRUPTED",
+    "NOT_WRITTEN",
+    "PLANNED",
+    "STOPPED",
+    "main",
+    "show_versions",
+]
 
-PLANNED, NOT_WRITTEN, BAD_INPUT, INFEASIBLE, STOPPED = 0, 1, 2, 3, 4
-"""Exit codes."""
-QUIET_S = 10.0
-"""Away from a terminal, progress is told only this long after the start, and this often [s]."""
-STDOUT = "-"
 DEPENDENCIES = (
     "numpy", "scipy", "clarabel", "osqp", "cvxpy", "matplotlib", "pydantic", "click", "tqdm",
     "casadi",
@@ -70,7 +91,10 @@ def show_versions(stream: TextIO | None = None) -> None:
         print(f"{name:<12}{value}", file=stream or sys.stdout)
 
 
-@click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
+@click.group(
+    cls=Group,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+)
 @click.option(
     "--version",
     is_flag=True,
@@ -97,53 +121,20 @@ def _print_version(context: click.Context, wanted: bool) -> None:
 # ---------------------------------------------------------------------------- commands
 
 
-def _gap(context: click.Context, parameter: click.Parameter, value: float | None) -> float | None:
-    if value is not None and not 0.0 < value < float("inf"):
-        raise click.BadParameter("a number above 0, e.g. 0.01 for 1 %", context, parameter)
-    return value
-
-
-def _seconds(context: click.Context, parameter: click.Parameter, value: float) -> float:
-    if not value >= 0.0:
-        raise click.BadParameter("a number of seconds of at least 0", context, parameter)
-    return value
-
-
-def _setting(
-    context: click.Context, parameter: click.Parameter, values: tuple[str, ...]
-) -> dict[str, object]:
-    """Return the overrides: TOML values, or strings where they are none."""
-    import tomllib
-
-    found: dict[str, object] = {}
-    for text in values:
-        key, equals, value = text.partition("=")
-        if not (equals and key.strip()):
-            raise click.BadParameter(f"{text!r}; allowed: key=value", context, parameter)
-        try:
-            document = tomllib.loads(f"value = {value}")
-        except tomllib.TOMLDecodeError:
-            document = {}
-        found[key.strip()] = document["value"] if set(document) == {"value"} else value
-    return found
-
-
 @main.command()
 @click.argument("trip")
 @click.option(
     "--gap",
-    type=float,
-    default=None,
-    callback=_gap,
+    metavar="NUMBER",
+    callback=GAP,
     help="Relative gap to prove, e.g. 0.01; without it only the quick bounds are computed.",
 )
 @click.option(
     "--time-limit",
-    type=float,
     metavar="SECONDS",
-    default=60.0,
+    default="60",
     show_default=True,
-    callback=_seconds,
+    callback=SECONDS,
     help="Return the best plan and bound known by then; 'inf' for no limit.",
 )
 @click.option(
@@ -151,7 +142,7 @@ def _setting(
     "overrides",
     multiple=True,
     metavar="KEY=VALUE",
-    callback=_setting,
+    callback=settings,
     help="Replace a value of the trip, e.g. route.ambient_c=-10, vehicle.heat_pump_kw=3, "
     "charger.NAME.power_kw=50. May be repeated.",
 )
@@ -181,22 +172,24 @@ def _setting(
 )
 @click.option(
     "--workers",
-    type=click.IntRange(min=1),
-    default=1,
+    metavar="NUMBER",
+    default="1",
     show_default=True,
+    callback=WORKERS,
     help="Threads over the choices of stops.",
 )
 @click.option(
     "--solver",
-    type=click.Choice(["clarabel", "osqp"]),
+    metavar="[clarabel|osqp]",
     default="clarabel",
     show_default=True,
+    callback=one_word(["clarabel", "osqp"]),
     help="Solver of the quadratic programs.",
 )
 @click.option(
     "--all", "everything", is_flag=True, help="Plan every choice of stops, skip none by its bound."
 )
-@click.option("--quiet", "-q", is_flag=True, help="No progress on standard error.")
+@QUIET
 def plan(
     trip: str,
     gap: float | None,
@@ -213,16 +206,18 @@ def plan(
 ) -> None:
     """Plan TRIP, the name of a shipped trip or a TOML file.
 
-    Exit codes: 0 a plan was found; 1 it or its ledger could not be written; 2 bad input; 3 proved
-    infeasible; 4 stopped without a plan. Ctrl-C stops the search and prints what is known by then.
+    Exit codes: 0 a plan was found; 1 it could not be written in full, or its proofs not; 2 bad
+    input; 3 proved infeasible; 4 stopped without a plan; 130 Ctrl-C while it ends. The first Ctrl-C
+    stops the search and prints what is known by then, a second one ends at once.
     """
-    with _input_errors():
-        _check_outputs(json_file, plot_folder, ledger_file)
+    with before_planning():
+        check_files({"--json": json_file, "--ledger": ledger_file})
+        check_folder("--plot", plot_folder)
         loaded = _load(trip, overrides)
     try:
         from enumerate.search import plan as plan_trip
 
-        with _progress(quiet) as report:
+        with show_progress(quiet) as report:
             result = plan_trip(
                 loaded,
                 gap=gap,
@@ -234,12 +229,10 @@ def plan(
                 keep_proofs=ledger_file is not None,
             )
     except KeyboardInterrupt:
-        _fail("interrupted before a plan could be driven", STOPPED)
-    code = _tell(result, loaded, json_file, plot_folder)
-    if certificate and result.certificate is not None:
-        _echo(f"\n{result.certificate}", err=json_file == STDOUT)
-    if ledger_file is not None:
-        _save_ledger(ledger_file, loaded, result)
+        abandon("interrupted before a plan could be driven", STOPPED)
+    code = _write(result, loaded, json_file, plot_folder, ledger_file, certificate)
+    if ledger_file is not None and not result.proofs:
+        fail("nothing is proved yet: no ledger was written", code or NOT_WRITTEN)
     sys.exit(code)
 
 
@@ -247,20 +240,20 @@ def plan(
 def trips() -> None:
     """List the trips, vehicles and routes that come with the package."""
     for kind, names in _shipped().items():
-        click.echo(f"{kind}")
+        say(kind)
         for name, text in names.items():
-            _echo(f"  {name:<26}{text}".rstrip())
+            say(f"  {name:<26}{text}".rstrip())
 
 
 @main.command()
-@click.argument("what", type=click.Choice(["trip", "vehicle"]))
+@click.argument("what", metavar="[trip|vehicle]", callback=one_word(["trip", "vehicle"]))
 def schema(what: str) -> None:
     """Print the JSON Schema of a trip file or a vehicle file."""
     import json
 
     from relax.load import trip_schema, vehicle_schema
 
-    click.echo(json.dumps(trip_schema() if what == "trip" else vehicle_schema(), indent=2))
+    say(json.dumps(trip_schema() if what == "trip" else vehicle_schema(), indent=2))
 
 
 @main.command()
@@ -318,151 +311,51 @@ def _load(trip: str, overrides: dict[str, object]) -> Trip:
     return loaded
 
 
-@contextmanager
-def _input_errors() -> Iterator[None]:
-    """Turn an input error into one line and its exit code."""
-    from relax.errors import InputError
-
-    try:
-        yield
-    except InputError as error:
-        _fail(str(error), BAD_INPUT)
-    except KeyboardInterrupt:
-        _fail("interrupted before planning", STOPPED)
-
-
-def _fail(message: str, code: int) -> NoReturn:
-    _echo("evrelax: " + " ".join(message.split("\n")), err=True)
-    sys.exit(code)
-
-
-def _check_outputs(
-    json_file: str | None, plot_folder: Path | None, ledger_file: str | None = None
-) -> None:
-    """Refuse outputs that cannot be written before anything is computed."""
-    import tempfile
-
-    for option, file in (("--json", json_file), ("--ledger", ledger_file)):
-        if file is None or (option == "--json" and file == STDOUT):
-            continue
-        path = Path(file)
-        there = path.exists()
-        try:
-            if path.is_file() or path.is_dir() or not there:  # opening a pipe would wait
-                with path.open("ab"):
-                    pass
-                if not there:
-                    path.unlink()
-        except OSError as error:
-            raise _unwritable(option, file, error, "a file that can be written") from error
-    if plot_folder is not None:
-        try:
-            plot_folder.mkdir(parents=True, exist_ok=True)
-            with tempfile.TemporaryFile(dir=plot_folder):
-                pass
-        except OSError as error:
-            allowed = "a folder that can be written to"
-            raise _unwritable("--plot", str(plot_folder), error, allowed) from error
-
-
-def _unwritable(option: str, path: str, error: OSError, allowed: str) -> InputError:
-    from relax.errors import InputError
-
-    reason = (error.strerror or type(error).__name__).lower()
-    return InputError("command line", option, path, f"{allowed} ({reason})")
-
-
 # ---------------------------------------------------------------------------- output
 
 
-@contextmanager
-def _progress(quiet: bool) -> Iterator[Callable[[Progress], None] | None]:
-    """Yield what the search calls to tell how far it is."""
-    if quiet:
-        yield None
-        return
-    terminal = sys.stderr.isatty()
-    with ExitStack() as stack:
-        bars: dict[str, Any] = {}
-
-        def tell(progress: Progress) -> None:
-            if progress.phase not in bars:
-                stack.close()  # ends the bar of the phase before
-                bars[progress.phase] = stack.enter_context(_bar(progress, terminal))
-            bar = bars[progress.phase]
-            bar.total = max(progress.total, progress.done)
-            if progress.cost < float("inf"):
-                bar.set_postfix_str(
-                    f"best {progress.cost:.2f}, bound {progress.lower_bound:.2f}", refresh=False
-                )
-            bar.update(progress.done - bar.n)
-
-        yield tell
-
-
-def _bar(progress: Progress, terminal: bool) -> Any:
-    """Return the bar of one phase; away from a terminal it speaks late and seldom."""
-    from tqdm import tqdm
-
-    return tqdm(
-        total=progress.total,
-        desc=progress.phase,
-        unit="subset",
-        file=sys.stderr,
-        leave=False,
-        delay=0.5 if terminal else QUIET_S,
-        mininterval=0.1 if terminal else QUIET_S,
-    )
-
-
-def _tell(result: Result, trip: Trip, json_file: str | None, plot_folder: Path | None) -> int:
+def _write(
+    result: Result,
+    trip: Trip,
+    json_file: str | None,
+    plot_folder: Path | None,
+    ledger_file: str | None,
+    certificate: bool,
+) -> int:
     """Print and write a result; return the exit code."""
     import json
 
+    from enumerate.evidence_file import save_proofs
     from enumerate.result import Status
     from enumerate.show import format_result
 
-    text = None
+    pure = json_file == STDOUT
+    outputs = [] if pure else [("standard output", lambda: say(format_result(result, trip)))]
     if json_file is not None:
         text = json.dumps(result.to_dict(), allow_nan=False)
-    if json_file == STDOUT:
-        click.echo(text)
-        if result.plan is None and result.diagnosis is not None:
-            _echo(f"evrelax: {result.trip}: no plan: {result.diagnosis.reason}", err=True)
-    else:
-        _echo(format_result(result, trip))
-    try:
-        if json_file is not None and text is not None and json_file != STDOUT:
-            Path(json_file).write_text(text + "\n", encoding="utf-8")
-        if plot_folder is not None and result.plan is not None:
-            from relax.plot import save_plots
-
-            save_plots(result.plan, trip, plot_folder)
-    except OSError as error:
-        _fail(f"the plan was found but could not be written: {error}", NOT_WRITTEN)
+        name = "standard output" if pure else f"--json {json_file}"
+        outputs.append((name, lambda: write_text(json_file, text)))
+    if pure and result.plan is None and result.diagnosis is not None:
+        why = f"evrelax: {result.trip}: no plan: {result.diagnosis.reason}"
+        outputs.append(("standard error", lambda: say(why, err=True)))
+    if certificate and result.instance is not None:
+        outputs.append(("the certificate", lambda: say(f"\n{result.certificate}", err=pure)))
+    if plot_folder is not None:
+        outputs.append((f"--plot {plot_folder}", lambda: _plot(result, trip, plot_folder)))
+    if ledger_file is not None and result.proofs:
+        name = f"--ledger {ledger_file}"
+        outputs.append((name, lambda: save_proofs(ledger_file, trip, result)))
+    write_all(outputs)
     if result.plan is not None:
         return PLANNED
     return INFEASIBLE if result.status is Status.INFEASIBLE else STOPPED
 
 
-def _save_ledger(file: str, trip: Trip, result: Result) -> None:
-    """Write the proofs of a result."""
-    from enumerate.evidence_file import save_proofs
+def _plot(result: Result, trip: Trip, folder: Path) -> None:
+    if result.plan is not None:
+        from relax.plot import save_plots
 
-    if not result.proofs:
-        _fail("nothing is proved yet: no ledger was written", NOT_WRITTEN)
-    try:
-        save_proofs(file, trip, result)
-    except OSError as error:
-        _fail(f"the ledger could not be written: {error}", NOT_WRITTEN)
-
-
-def _echo(text: str, err: bool = False) -> None:
-    """Print text, in ASCII where the stream cannot do better."""
-    from enumerate.table import printable
-
-    stream = sys.stderr if err else sys.stdout
-    click.echo(printable(text, stream.encoding), err=err)
+        save_plots(result.plan, trip, folder)
 
 
 if __name__ == "__main__":

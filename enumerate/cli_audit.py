@@ -12,6 +12,10 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from enumerate.cli_exit import BAD_INPUT, STOPPED, Command, before_planning, fail
+from enumerate.cli_options import QUIET, settings
+from enumerate.cli_output import open_bar, say, write_all
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
@@ -19,17 +23,11 @@ __all__ = ["audit"]
 
 HOLDS, FAILS = 0, 1
 """Exit codes beside those of bad input and of an interruption."""
+OTHER_TRIP = "proofs of the trip"
+"""What ``enumerate.audit`` calls the field that is wrong where a file is of another trip."""
 
 
-def _setting(
-    context: click.Context, parameter: click.Parameter, values: tuple[str, ...]
-) -> dict[str, object]:
-    from enumerate.cli import _setting as read
-
-    return read(context, parameter, values)
-
-
-@click.command()
+@click.command(cls=Command)
 @click.argument("file")
 @click.argument("trip")
 @click.option(
@@ -37,28 +35,37 @@ def _setting(
     "overrides",
     multiple=True,
     metavar="KEY=VALUE",
-    callback=_setting,
+    callback=settings,
     help="Replace a value of the trip, as when it was planned. May be repeated.",
 )
-@click.option("--quiet", "-q", is_flag=True, help="No progress on standard error.")
+@QUIET
 def audit(file: str, trip: str, overrides: dict[str, object], quiet: bool) -> None:
     """Check FILE, written by 'plan --ledger', against TRIP: every bound, without a solver.
 
-    Exit codes: 0 every claim holds; 1 one does not, and is named; 2 bad input; 4 interrupted.
+    Exit codes: 0 every claim holds; 1 one does not, and is named; 2 bad input; 4 interrupted:
+    nothing is confirmed. 1 also if the answer cannot be written.
     """
-    from enumerate.cli import STOPPED, _echo, _fail, _input_errors
+    from relax.errors import InputError
 
-    with _input_errors():
+    with before_planning():
         from enumerate.audit import audit as check
         from relax.load import load_trip
 
         loaded = load_trip(trip, overrides)
-        try:
-            with _progress(quiet) as report:
-                found = check(file, loaded, report)
-        except KeyboardInterrupt:
-            _fail("interrupted: nothing is confirmed", STOPPED)
-    _echo(str(found))
+    try:
+        with _progress(quiet) as report:
+            found = check(file, loaded, report)
+    except KeyboardInterrupt:
+        fail("interrupted: nothing is confirmed", STOPPED)
+    except InputError as error:
+        if error.field == OTHER_TRIP and error.value == loaded.name:
+            fail(
+                f"{file}: proofs of the trip {loaded.name!r} with other numbers; "
+                "allowed: proofs with the same numbers (--set as when planning)",
+                BAD_INPUT,
+            )
+        raise
+    write_all([("standard output", lambda: say(str(found)))])
     sys.exit(HOLDS if found.holds else FAILS)
 
 
@@ -68,19 +75,7 @@ def _progress(quiet: bool) -> Iterator[Callable[[int, int], None] | None]:
     if quiet:
         yield None
         return
-    from tqdm import tqdm
-
-    from enumerate.cli import QUIET_S
-
-    terminal = sys.stderr.isatty()
-    bar: Any = tqdm(
-        desc="audit",
-        unit="step",
-        file=sys.stderr,
-        leave=False,
-        delay=0.5 if terminal else QUIET_S,
-        mininterval=0.1 if terminal else QUIET_S,
-    )
+    bar: Any = open_bar("audit", None, "step", sys.stderr.isatty())
 
     def tell(done: int, total: int) -> None:
         bar.total = total

@@ -9,35 +9,54 @@ from __future__ import annotations
 import json
 import sys
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
+from enumerate.cli_exit import (
+    INFEASIBLE,
+    PLANNED,
+    STOPPED,
+    Command,
+    before_planning,
+    fail,
+)
+from enumerate.cli_options import (
+    GAP,
+    MINUTES,
+    QUIET,
+    SECONDS,
+    WORKERS,
+    one_word,
+    read_values,
+    settings,
+    whole,
+)
+from enumerate.cli_output import (
+    STDOUT,
+    check_files,
+    open_bar,
+    say,
+    show_progress,
+    write_all,
+    write_text,
+)
+
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterator, Sequence
 
     from enumerate.front import Front
-    from enumerate.sweep import SweepRow
+    from enumerate.result import Result
+    from enumerate.sweep import Sweep, SweepRow
+    from relax.trip import Trip
 
 __all__ = ["pareto", "sweep"]
 
-MOST_VALUES = 100_000
-"""Values of one range beyond which its step is a slip."""
-
-
-def _gap(context: click.Context, parameter: click.Parameter, value: float | None) -> float | None:
-    from enumerate.cli import _gap as check
-
-    return check(context, parameter, value)
-
-
-def _setting(
-    context: click.Context, parameter: click.Parameter, values: tuple[str, ...]
-) -> dict[str, object]:
-    from enumerate.cli import _setting as read
-
-    return read(context, parameter, values)
+MOST_SHOWN = 40
+"""Rows of a sweep that are printed; all of them are in its file."""
+STOPPED_ROW = "stopped without a plan"
 
 
 TRIP_SETTINGS = click.option(
@@ -45,35 +64,35 @@ TRIP_SETTINGS = click.option(
     "overrides",
     multiple=True,
     metavar="KEY=VALUE",
-    callback=_setting,
+    callback=settings,
     help="Replace a value of the trip. May be repeated.",
 )
-QUIET = click.option("--quiet", "-q", is_flag=True, help="No progress on standard error.")
 
 
-@click.command()
+@click.command(cls=Command)
 @click.argument("trip")
-@click.option("--points", type=click.IntRange(min=2), default=12, show_default=True)
+@click.option("--points", metavar="NUMBER", default="12", show_default=True, callback=whole(2))
 @click.option(
     "--measure",
-    type=click.Choice(["energy", "cost"]),
+    metavar="[energy|cost]",
     default="energy",
     show_default=True,
+    callback=one_word(["energy", "cost"]),
     help="Energy from the chargers, or what the trip costs without the value of time.",
 )
 @click.option(
     "--gap",
-    type=float,
-    default=0.01,
+    metavar="NUMBER",
+    default="0.01",
     show_default=True,
-    callback=_gap,
+    callback=GAP,
     help="Relative gap to prove of every point.",
 )
 @click.option("--no-proof", is_flag=True, help="Leave the bounds at the quick ones.")
-@click.option("--time-limit", type=float, default=float("inf"), metavar="SECONDS")
 @click.option(
-    "--latest-min", type=float, default=None, metavar="MINUTES", help="Longest time of interest."
+    "--time-limit", default="inf", metavar="SECONDS", callback=SECONDS, help="Of the whole front."
 )
+@click.option("--latest-min", metavar="MINUTES", callback=MINUTES, help="Longest time of interest.")
 @click.option("--json", "json_file", metavar="FILE", help="Write the front as JSON; '-': print it.")
 @TRIP_SETTINGS
 @QUIET
@@ -91,41 +110,62 @@ def pareto(
 ) -> None:
     """Trade energy or cost of TRIP against its charging and detour time.
 
-    Exit codes: 0 the front was found; 2 bad input; 4 no plan was found.
+    Exit codes: 0 the front was found; 1 it could not be written; 2 bad input; 3 proved
+    infeasible, with the reason; 4 stopped without a plan.
     """
-    from enumerate.cli import (
-        PLANNED,
-        STDOUT,
-        STOPPED,
-        _check_outputs,
-        _echo,
-        _input_errors,
-        _load,
-        _progress,
-    )
+    from enumerate.cli import _load
 
-    with _input_errors():
-        _check_outputs(json_file, None)
+    with before_planning():
+        check_files({"--json": json_file})
         loaded = _load(trip, overrides)
-    if latest_min is not None and not latest_min > 0.0:
-        raise click.BadParameter("a number of minutes above 0", param_hint="--latest-min")
-    from enumerate.pareto import pareto as find_front
+        from enumerate.pareto import MOST_CHARGERS
+        from enumerate.pareto import pareto as find_front
+        from relax.errors import InputError
 
-    with _progress(quiet) as report:
+        if (number := len(loaded.chargers)) > MOST_CHARGERS:
+            raise InputError(trip, "charger", f"{number} of them", f"at most {MOST_CHARGERS}")
+
+    latest_h = None if latest_min is None else latest_min / 60.0
+    with show_progress(quiet) as report:
         front = find_front(
             loaded,
             points=points,
             measure=measure,
             gap=None if no_proof else gap,
-            latest_h=None if latest_min is None else latest_min / 60.0,
+            latest_h=latest_h,
             time_limit_s=time_limit,
             progress=report,
         )
+    none = None if front.points or front.interrupted else _without_front(loaded, latest_h)
+    outputs = []
     if json_file is not None:
-        _write(json_file, json.dumps(front.to_dict(), allow_nan=False))
-    if json_file != STDOUT:
-        _echo(_front_text(front))
-    sys.exit(PLANNED if front.points else STOPPED)
+        text = json.dumps(front.to_dict(), allow_nan=False)
+        outputs.append((f"--json {json_file}", lambda: write_text(json_file, text)))
+    pure = json_file == STDOUT
+    told = _front_text(front) if none is None else _none_text(none, loaded, pure)
+    if not (pure and front.points):
+        outputs.append(("standard output", lambda: say(told, err=pure)))
+    write_all(outputs)
+    sys.exit(PLANNED if front.points else STOPPED if none is None else INFEASIBLE)
+
+
+def _without_front(trip: Trip, latest_h: float | None) -> Result | None:
+    """Return the proof that a trip without a front has no plan; None if it is not proved."""
+    from enumerate.result import Status
+    from enumerate.search import plan
+
+    if latest_h is not None:
+        trip = replace(trip, stop_time_h=min(trip.stop_time_h, latest_h))
+    result = plan(trip)
+    return result if result.status is Status.INFEASIBLE else None
+
+
+def _none_text(result: Result, trip: Trip, short: bool) -> str:
+    from enumerate.show import format_result
+
+    if short and result.diagnosis is not None:
+        return f"evrelax: {trip.name}: no plan: {result.diagnosis.reason}"
+    return format_result(result, trip)
 
 
 def _front_text(front: Front) -> str:
@@ -165,7 +205,7 @@ def _front_text(front: Front) -> str:
     )
 
 
-@click.command()
+@click.command(cls=Command)
 @click.argument("trip")
 @click.option(
     "--over",
@@ -178,14 +218,19 @@ def _front_text(front: Front) -> str:
 @click.option(
     "--file",
     "file",
-    type=click.Path(path_type=Path, dir_okay=False),
+    type=click.Path(path_type=Path),
     required=True,
-    help="JSON lines; rows found there are not computed again.",
+    help="JSON lines; rows found there are not computed again. Any other file is refused.",
 )
-@click.option("--gap", type=float, default=None, callback=_gap, help="Relative gap to prove.")
-@click.option("--time-limit", type=float, default=None, metavar="SECONDS", help="Of every plan.")
+@click.option("--gap", metavar="NUMBER", callback=GAP, help="Relative gap to prove.")
+@click.option("--time-limit", metavar="SECONDS", callback=SECONDS, help="Of every plan.")
 @click.option(
-    "--workers", type=click.IntRange(min=1), default=1, show_default=True, help="Processes."
+    "--workers",
+    metavar="NUMBER",
+    default="1",
+    show_default=True,
+    callback=WORKERS,
+    help="Processes.",
 )
 @TRIP_SETTINGS
 @QUIET
@@ -201,16 +246,24 @@ def sweep(
 ) -> None:
     """Plan every combination of some values of TRIP and save each as it comes.
 
-    Ctrl-C keeps what is done; the same command goes on. Exit codes: 0 all done; 2 bad
-    input; 4 some are missing.
+    Ctrl-C keeps what is done; the same command goes on. Exit codes: 0 all done, of which some may
+    be proved infeasible or no valid trip: the table says which and why; 1 a row could not be
+    written; 2 bad input, such as a key that does not exist or values of which none is allowed; 4
+    some are missing.
     """
-    from enumerate.cli import STOPPED, _check_outputs, _fail, _input_errors
-    from enumerate.sweep import sweep as run
+    values = read_values(over)
+    computed: list[SweepRow] = []
+    with before_planning():
+        check_files({"--file": str(file)})
+        from enumerate.sweep import sweep as run
 
-    values = dict(_values(text) for text in over)
-    with _input_errors():
-        _check_outputs(str(file), None)
         with _rows(quiet) as report:
+
+            def count(done: int, total: int, row: SweepRow) -> None:
+                computed.append(row)
+                if report is not None:
+                    report(done, total, row)
+
             found = run(
                 trip,
                 values,
@@ -219,43 +272,60 @@ def sweep(
                 time_limit_s=time_limit,
                 workers=workers,
                 file=file,
-                progress=report,
+                progress=count,
             )
-    failed = sum(1 for row in found.rows if row.error)
-    click.echo(f"{len(found.rows)} rows in {file}, {failed} of them no valid trip")
+    text = _sweep_text(found, list(values), file, len(computed))
+    write_all([("standard output", lambda: say(text))])
     if found.missing:
-        _fail(f"{len(found.missing)} missing: {found.interrupted}", STOPPED)
+        fail(f"{len(found.missing)} missing: {found.interrupted}", STOPPED)
 
 
-def _values(text: str) -> tuple[str, list[Any]]:
-    """Return key and values of ``key=1,2,3`` or ``key=first:last:step``."""
-    import tomllib
+def _sweep_text(found: Sweep, keys: Sequence[str], file: Path, computed: int) -> str:
+    """Return a sweep as a table for people: what was varied, what came out, how many of each."""
+    from enumerate.table import number, percent, table
 
-    key, equals, listed = text.partition("=")
-    try:
-        if not (equals and key.strip() and listed.strip()):
-            raise ValueError
-        if listed.count(":") == 2:
-            return key.strip(), _range(*(float(x) for x in listed.split(":")))
-        found: list[Any] = []
-        for entry in listed.split(","):
-            try:
-                found.append(tomllib.loads(f"value = {entry}")["value"])
-            except tomllib.TOMLDecodeError:
-                found.append(entry.strip())
-        return key.strip(), found
-    except (ValueError, ZeroDivisionError):
-        allowed = f"{text!r}; allowed: key=a,b,c or key=first:last:step"
-        raise click.BadParameter(allowed, param_hint="--over") from None
+    if not found.rows:
+        return f"no rows in {file}"
+    currency = next((r.result["currency"] for r in found.rows if r.result is not None), "")
+    head = [*(key.replace(".", ".\n") for key in keys), f"cost\n{currency}", "bound", "gap\n%"]
+    rows = []
+    for row in found.rows[:MOST_SHOWN]:
+        result = row.result or {}
+        values = [str(row.variant[key]) for key in keys]
+        sums = [number(result.get("cost"), 2), number(result.get("lower_bound"), 2)]
+        rows.append([*values, *sums, percent(result.get("gap"), 2), _outcome(row)])
+    counts = dict.fromkeys(("planned", "infeasible", STOPPED_ROW, "invalid"), 0)
+    for row in found.rows:
+        counts[_kind(row)] += 1
+    said = ", ".join(f"{n} {kind}" for kind, n in counts.items() if n or kind != STOPPED_ROW)
+    lines = [table([*head, "stops"], rows, words_last=True)]
+    if len(found.rows) > MOST_SHOWN:
+        lines.append(f"and {len(found.rows) - MOST_SHOWN} more")
+    size = len(found.rows)
+    plural = "" if size == 1 else "s"
+    lines += ["", f"{size} row{plural} in {file} ({said}; {computed} computed anew)"]
+    return "\n".join(lines)
 
 
-def _range(first: float, last: float, step: float) -> list[Any]:
-    """Return first, first + step ... up to last, as whole numbers where they all are."""
-    if not 0.0 <= (last - first) / step < MOST_VALUES:
-        raise ValueError
-    count = int((last - first) / step + 1e-9) + 1
-    values = [first + step * k for k in range(count)]
-    return [int(v) for v in values] if first.is_integer() and step.is_integer() else values
+def _kind(row: SweepRow) -> str:
+    """Return how a row ended, in a word."""
+    if row.result is None:
+        return "invalid"
+    if row.result["plan"] is not None:
+        return "planned"
+    return "infeasible" if row.result["status"] == "infeasible" else STOPPED_ROW
+
+
+def _outcome(row: SweepRow) -> str:
+    """Return the stops of a row's plan, or why it has none."""
+    result = row.result
+    if result is None:
+        return f"invalid: {row.error}"
+    if result["plan"] is not None:
+        return " + ".join(stop["charger"] for stop in result["plan"]["stops"]) or "none"
+    diagnosis = result["diagnosis"]
+    why = result["interrupted"] if diagnosis is None else diagnosis["reason"]
+    return _kind(row) + (f": {why}" if why else "")
 
 
 @contextmanager
@@ -264,15 +334,11 @@ def _rows(quiet: bool) -> Iterator[Callable[[int, int, SweepRow], None] | None]:
     if quiet:
         yield None
         return
-    from enumerate.cli import _bar
-    from enumerate.explore import Progress
-
     bars: list[Any] = []
 
-    def tell(done: int, total: int, row: SweepRow) -> None:
+    def tell(done: int, total: int, _: SweepRow) -> None:
         if not bars:
-            start = Progress("sweep", 0, total, float("inf"), float("-inf"))
-            bars.append(_bar(start, sys.stderr.isatty()))
+            bars.append(open_bar("sweep", total, "plan", sys.stderr.isatty()))
         bars[0].update(done - bars[0].n)
 
     try:
@@ -280,12 +346,3 @@ def _rows(quiet: bool) -> Iterator[Callable[[int, int, SweepRow], None] | None]:
     finally:
         for bar in bars:
             bar.close()
-
-
-def _write(json_file: str, text: str) -> None:
-    from enumerate.cli import STDOUT
-
-    if json_file == STDOUT:
-        click.echo(text)
-    else:
-        Path(json_file).write_text(text + "\n", encoding="utf-8")

@@ -8,6 +8,7 @@ without pickle and with every type, size and index checked. Judges no claim: tha
 from __future__ import annotations
 
 import dataclasses
+import errno
 import hashlib
 import json
 import math
@@ -105,7 +106,8 @@ def save_proofs(path: str | Path, trip: Trip, result: Result) -> None:
     Parameters
     ----------
     path : str or Path
-        File to write; it appears whole or not at all, and replaces an old one.
+        File to write; it appears whole or not at all, and replaces an old one. A symbolic
+        link stays, and what it names is written.
     trip : Trip
         What was planned.
     result : Result
@@ -116,7 +118,7 @@ def save_proofs(path: str | Path, trip: Trip, result: Result) -> None:
     ValueError
         The result is of another trip, or its proofs were not kept.
     OSError
-        The file cannot be written.
+        The file cannot be written, or there is a folder, a pipe or a device of its name.
 
     Examples
     --------
@@ -171,14 +173,14 @@ def save_evidence(path: str | Path, evidence: Evidence) -> None:
     Parameters
     ----------
     path : str or Path
-        File to write or replace.
+        File to write or replace; through a symbolic link, what it names.
     evidence : Evidence
         What to write, true or not.
 
     Raises
     ------
     OSError
-        The file cannot be written.
+        The file cannot be written, or there is a folder, a pipe or a device of its name.
     """
     duals = [step.dual for node in evidence.nodes for step in node.steps]
     stages, table, targets = evidence.stages, *to_table([])
@@ -212,7 +214,9 @@ def save_evidence(path: str | Path, evidence: Evidence) -> None:
         "stages": table.astype("<f8"),
         "controls": _controls_out(evidence.driven).astype("<f8"),
     }
-    path = Path(path)
+    path = Path(os.path.realpath(path))  # a link would be replaced, not what it names
+    if path.exists() and not path.is_file():
+        raise OSError(errno.EINVAL, "not a regular file", str(path))
     handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
     try:
         with os.fdopen(handle, "wb") as stream:

@@ -81,7 +81,7 @@ def plan(
     Raises
     ------
     ValueError
-        More than 64 chargers, or 10 with ``prune=False``; a gap that is not above 0.
+        More than 64 chargers, or 10 with ``prune=False``; a gap not above 0 and below 1.
 
     Examples
     --------
@@ -97,8 +97,8 @@ def plan(
         raise ValueError(f"at most {MAX_CHARGERS} chargers, not {n_chargers}")
     if not prune and n_chargers > MAX_PLANNED:
         raise ValueError(f"all subsets of at most {MAX_PLANNED} chargers are planned")
-    if gap is not None and not gap > 0.0:
-        raise ValueError(f"gap must be above 0, not {gap}")
+    if gap is not None and not 0.0 < gap < 1.0:
+        raise ValueError(f"gap must be above 0 and below 1, not {gap}")
     grid = grid or trip.grid
     setting = Setting(trip, make_drive(trip, grid.step_km), grid, RefineSettings(solver=solver))
     timings: dict[str, float] = {}

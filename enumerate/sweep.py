@@ -22,8 +22,9 @@ import numpy as np
 
 from enumerate.pareto import pareto
 from enumerate.search import plan
+from relax.document import read_text
 from relax.errors import InputError
-from relax.load import load_trip
+from relax.load import check_keys, load_trip
 from relax.trip import Trip
 
 __all__ = ["Sweep", "SweepRow", "front_task", "plan_task", "sweep"]
@@ -35,6 +36,10 @@ MAX_POOLS = 4
 """Pools of worker processes begun before a sweep gives up: each ends when a worker is killed."""
 STOPPED = "interrupted"
 """What a result says of itself when Ctrl-C cut it short: it is not kept."""
+ROW = ("sweep", "variant", "result", "error", "seconds")
+"""Entries of a line of the file, in their order."""
+TORN = '{"sweep": '
+"""How a line begins that was cut in the middle, if it is one of a sweep."""
 
 
 @dataclass(frozen=True)
@@ -185,28 +190,35 @@ class _File:
         self.path, self.identity = path, identity
 
     def read(self) -> Iterator[SweepRow]:
-        """Yield the rows of this sweep; torn and foreign lines are passed over."""
+        """Yield the rows of this sweep; torn lines and rows of other sweeps are passed over.
+
+        Raises
+        ------
+        InputError
+            A line is no row: the file is another one, and nothing may be appended to it.
+        """
         if self.path is None or not self.path.exists():
             return
-        for line in self.path.read_text(encoding="utf-8").splitlines():
+        lines = read_text(self.path, str(self.path)).split("\n")
+        for number, line in enumerate(lines, start=1):
             try:
                 row = json.loads(line)
-                if row["sweep"] == self.identity:
-                    yield SweepRow(-1, row["variant"], row["result"], row["error"], row["seconds"])
+                values = [row[name] for name in ROW]
             except (ValueError, KeyError, TypeError):
-                continue
+                if line.startswith(TORN[: len(line)]):  # nothing, or the beginning of a row
+                    continue
+                allowed = "a row of a sweep: give a file of an earlier one, or a free name"
+                shown = line.strip()
+                raise InputError(str(self.path), f"line {number}", shown, allowed) from None
+            if values[0] == self.identity:
+                yield SweepRow(-1, *values[1:])
 
     def write(self, row: SweepRow) -> None:
         """Append a row and hand it to the system before anything else happens."""
         if self.path is None:
             return
-        entry = {
-            "sweep": self.identity,
-            "variant": row.variant,
-            "result": row.result,
-            "error": row.error,
-            "seconds": row.seconds,
-        }
+        values = (self.identity, row.variant, row.result, row.error, row.seconds)
+        entry = dict(zip(ROW, values, strict=True))
         line = json.dumps(entry, allow_nan=False) + "\n"
         with self.path.open("ab+") as stream:
             if stream.tell() > 0:
@@ -250,7 +262,7 @@ def sweep(
         Any ``concurrent.futures.Executor`` instead: threads, processes, a cluster's.
     file : str or Path, optional
         JSON lines: each row is appended as it comes, rows found there are not computed
-        again. Rows of another trip, task or setting may stand there too.
+        again. Rows of another trip, task or setting may stand there too, anything else not.
     progress : callable, optional
         Called with rows done, rows in all and the row, after each.
 
@@ -263,7 +275,9 @@ def sweep(
     Raises
     ------
     InputError
-        The trip itself cannot be loaded. A variant that cannot is a row with an error.
+        The trip itself cannot be loaded, a key of ``over`` does not exist, no variant is a
+        valid trip, or ``file`` holds something else than rows: nothing is run then. Where some
+        variants are valid trips, each of the others is a row with an error.
     ValueError
         A key of ``over`` has no values.
 
@@ -287,6 +301,7 @@ def sweep(
     places: dict[str, list[int]] = {}
     for index, variant in enumerate(grid):
         places.setdefault(json.dumps(variant), []).append(index)
+    _check_variants(name, fixed, grid)
     for row in store.read():
         for index in places.get(json.dumps(row.variant), ()):
             rows[index] = SweepRow(index, row.variant, row.result, row.error, row.seconds)
@@ -322,6 +337,22 @@ def sweep(
     if missing and not interrupted:
         interrupted = "a worker was lost or stopped"
     return Sweep(tuple(rows[i] for i in sorted(rows)), missing, interrupted)
+
+
+def _check_variants(trip: str, fixed: Variant, grid: Sequence[Variant]) -> None:
+    """Raise what is wrong with the first variant if its keys do not exist, or if all are wrong."""
+    if not grid:
+        return
+    check_keys(trip, {**fixed, **grid[0]})
+    first: InputError | None = None
+    for variant in grid:
+        try:
+            load_trip(trip, {**fixed, **variant})
+            return
+        except InputError as error:
+            first = first or error
+    if first is not None:
+        raise first
 
 
 def _call(

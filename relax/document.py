@@ -31,6 +31,8 @@ __all__ = [
 ]
 
 
+LONGEST_LIST, NEAREST = 200, 5
+"""Characters of names listed in a message; of a longer list, that many of the nearest names."""
 OVERRIDE = "override"
 """Source shown for a value that came by override, not from a file."""
 
@@ -82,18 +84,35 @@ def one_line(name: str) -> str:
     return name if name.isprintable() else repr(name)
 
 
-def one_of(names: Iterable[str], wrong: object = None) -> str:
-    """Return a phrase that lists ``names`` and the one closest to ``wrong``.
+def one_of(names: Iterable[str], wrong: object = None, before: str = "", after: str = "") -> str:
+    """Return a phrase with the name closest to ``wrong``, and a list of ``names``.
+
+    Parameters
+    ----------
+    names : iterable of str
+        What is allowed. Many are not all listed, only those nearest to ``wrong``.
+    wrong : object
+        What was given.
+    before, after : str
+        What stands around every name.
 
     Examples
     --------
     >>> one_of(["soc", "name"], "sox")
-    "one of name, soc (did you mean 'soc'?)"
+    "did you mean 'soc'? one of name, soc"
+    >>> one_of(["soc", "name"], "x", before="start.")
+    'one of start.name, start.soc'
     """
-    names = sorted(one_line(name) for name in names)
-    close = difflib.get_close_matches(str(wrong), names, n=1)
-    listed = "one of " + ", ".join(names) if names else "nothing"
-    return listed + (f" (did you mean {close[0]!r}?)" if close else "")
+    known = {name: one_line(f"{before}{name}{after}") for name in sorted(names)}
+    if not known:
+        return "nothing"
+    close = difflib.get_close_matches(str(wrong), known, n=1)
+    hint = f"did you mean {known[close[0]]!r}? " if close else ""
+    listed = ", ".join(known.values())
+    if len(listed) <= LONGEST_LIST or len(known) <= NEAREST + 1:
+        return f"{hint}one of {listed}"
+    near = difflib.get_close_matches(str(wrong), known, n=NEAREST, cutoff=0.0)
+    return f"{hint}one of {', '.join(known[n] for n in near)} or {len(known) - len(near)} others"
 
 
 def read_text(file: Traversable, source: str) -> str:
@@ -220,7 +239,7 @@ def with_overrides(
             shown, last = key, rest
             names = set((sections or {}).get(head, ())) or field_names(annotation)
         if last not in names:
-            allowed = one_of((f"{key[: len(key) - len(last)]}{name}" for name in names), key)
+            allowed = one_of(names, last, before=key[: len(key) - len(last)])
             raise InputError(OVERRIDE, key, value, allowed if names else head)
         if not isinstance(target, dict):
             raise InputError(OVERRIDE, key, target, f"{shown.rpartition('.')[0]} must be a table")
@@ -239,6 +258,6 @@ def _entry(entries: Sequence[Any], rest: str, key: str, value: object) -> tuple[
         index = int(name) - 1
     else:
         head = key.partition(".")[0]
-        allowed = one_of((f"{head}.{n}.{last}" for n in names), key)
+        allowed = one_of(names, name, f"{head}.", f".{last}")
         raise InputError(OVERRIDE, key, value, allowed if names else f"this trip has no {head}")
     return entries[index], index + 1, last

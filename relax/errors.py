@@ -15,7 +15,8 @@ class InputError(EvrelaxError, ValueError):
     Parameters
     ----------
     source : str
-        File or object the value came from.
+        File or object the value came from. Where the value is the file itself, its name is
+        told once.
     field : str
         Dotted name of the field, e.g. ``charger.2.power_kw``.
     value : object
@@ -27,9 +28,11 @@ class InputError(EvrelaxError, ValueError):
     def __init__(self, source: str, field: str, value: object, allowed: str) -> None:
         self.source, self.field, self.value, self.allowed = source, field, value, allowed
         shown = "missing" if value is None else repr(value)
-        if len(shown) > 80:
+        itself = value == source if isinstance(value, str) else False
+        if len(shown) > 80 and not itself:
             shown = shown[:77] + "..."
-        super().__init__(f"{source}: {field}: {shown}; allowed: {allowed}")
+        origin = "" if itself else f"{source}: "
+        super().__init__(f"{origin}{field}: {shown}; allowed: {allowed}")
 
 
 class DomainError(EvrelaxError, ValueError):

@@ -25,6 +25,7 @@ from relax.vehicle import Vehicle
 from relax.vehicle_file import make_vehicle
 
 __all__ = [
+    "check_keys",
     "load_trip",
     "load_vehicle",
     "shipped_routes",
@@ -34,6 +35,8 @@ __all__ = [
     "vehicle_schema",
 ]
 
+OPEN = {"vehicle": {"preset", "file", *VehicleFile.model_fields}}
+"""Names in sections that the schema leaves open."""
 SUFFIX = {"trips": ".toml", "vehicles": ".toml", "routes": ".csv"}
 
 
@@ -119,7 +122,7 @@ def _find(name: str | Path, kind: str) -> tuple[Traversable, str]:
         return Path(text), one_line(text)
     stem = Path(text).name.removesuffix(end)
     allowed = f"a {end} file that exists, or a shipped name: {one_of(known, stem)}"
-    raise InputError(one_line(text) or "''", kind.removesuffix("s"), text, allowed)
+    raise InputError(text, kind.removesuffix("s"), text, allowed)
 
 
 def _find_in(
@@ -174,6 +177,32 @@ def load_vehicle(vehicle: str | Path, overrides: Mapping[str, object] | None = N
     return make_vehicle(validate(VehicleFile, document, origin), origin)
 
 
+def check_keys(trip: str | Path, overrides: Mapping[str, object]) -> None:
+    """Raise if a key of overrides does not exist in a trip; values are not looked at.
+
+    Parameters
+    ----------
+    trip : str or Path
+        Name of a shipped trip, or a TOML file.
+    overrides : mapping of str to object
+        As for ``load_trip``.
+
+    Raises
+    ------
+    InputError
+        Names the key and which there are.
+
+    Examples
+    --------
+    >>> check_keys("paper-400km", {"route.ambient": 3})
+    Traceback (most recent call last):
+        ...
+    relax.errors.InputError: override: route.ambient: 3; allowed: did you mean 'route.ambient_c'?...
+    """
+    file, source = _find(trip, "trips")
+    with_overrides(read_toml(file, source), overrides, TripFile, OPEN)
+
+
 def load_trip(trip: str | Path, overrides: Mapping[str, object] | None = None) -> Trip:
     """Return a trip, checked.
 
@@ -196,13 +225,12 @@ def load_trip(trip: str | Path, overrides: Mapping[str, object] | None = None) -
     >>> load_trip("nowhere")  # doctest: +ELLIPSIS
     Traceback (most recent call last):
         ...
-    relax.errors.InputError: nowhere: trip: 'nowhere'; allowed: ...
+    relax.errors.InputError: trip: 'nowhere'; allowed: ...
     """
     file, source = _find(trip, "trips")
     folder = file.parent if isinstance(file, Path) else None
     given = dict(overrides or {})
-    names = {"vehicle": {"preset", "file", *VehicleFile.model_fields}}
-    document, replaced = with_overrides(read_toml(file, source), given, TripFile, names)
+    document, replaced = with_overrides(read_toml(file, source), given, TripFile, OPEN)
     _settle_choice(document, given)
     origin = Origin(source, replaced)
     spec = validate(TripFile, document, origin)

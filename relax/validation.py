@@ -36,13 +36,18 @@ EXPECTED = {
 """What to say for a pydantic error type; other types say their own message."""
 
 
+UNKNOWN = "extra_forbidden"
+"""What pydantic calls a key that does not exist."""
+
+
 def validate(model: type[M], document: Mapping[str, Any], origin: Origin) -> M:
     """Return the document as a model.
 
     Raises
     ------
     InputError
-        The first problem, and how many fields have more.
+        The first problem, and how many fields have more. Unknown keys come first: a section or
+        field that is missing is often one whose name is misspelt.
 
     Examples
     --------
@@ -57,7 +62,7 @@ def validate(model: type[M], document: Mapping[str, Any], origin: Origin) -> M:
         return model.model_validate_json(text)
     except ValidationError as error:
         problems = _problems(model, json.loads(text), error)
-        name, value, allowed = problems[0]
+        name, value, allowed = problems[0]  # an unknown key explains what is missing
         more = len({p[0] for p in problems}) - 1
         if more:
             allowed += f" (and {more} more problem{'s' if more > 1 else ''})"
@@ -81,13 +86,13 @@ def _problems(
             branches.setdefault(union, {}).setdefault(tag, []).append(kind)
     chosen = {union: _best(kinds) for union, kinds in branches.items()}
     problems = []
-    for e, path, union, tag in located:
+    for e, path, union, tag in sorted(located, key=lambda each: each[0]["type"] != UNKNOWN):
         if union is not None and tag != chosen[union]:
             continue
         owner, description = _owner(model, path, tag)
         suffix = f": {description}" if description else ""
         value: object = e["input"]
-        if e["type"] == "extra_forbidden":
+        if e["type"] == UNKNOWN:
             allowed = one_of(owner.model_fields, path[-1]) if owner else "no more keys"
         elif e["type"] == "missing" and isinstance(e["loc"][-1], str):
             value, allowed = None, "required" + suffix

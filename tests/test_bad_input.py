@@ -62,11 +62,13 @@ def test_text_that_is_not_utf8(tmp_path: Path, file: str) -> None:
 def test_missing_file_names_what_is_shipped(load: Any, name: Any, kind: str, allowed: str) -> None:
     with pytest.raises(InputError) as caught:
         load(name)
-    check(str(caught.value), str(name), kind, str(name), allowed)
+    message = str(caught.value)
+    assert message.startswith(f"{kind}: {str(name)!r}; allowed: ") and allowed in message
+    assert caught.value.source == str(name)
 
 
 def test_empty_name_and_folder(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"^'': trip: '';"):
+    with pytest.raises(InputError, match=r"^trip: '';"):
         load_trip("")
     with pytest.raises(InputError, match=r"a \.toml file that exists"):
         load_trip(tmp_path)

@@ -22,6 +22,27 @@ CASES: list[tuple[dict[str, Any], str, str, str, str]] = [
     ({"start.soc": None}, "trip.toml", "start.soc", "missing", "state of charge"),
     ({"currency": None}, "trip.toml", "currency", "missing", "required"),
     ({"strat": {"soc": 1.0}}, "trip.toml", "strat", "{'soc': 1.0}", "did you mean 'start'?"),
+    (
+        {"start": None, "startt": {"soc": 1.0}},
+        "trip.toml",
+        "startt",
+        "{'soc': 1.0}",
+        "did you mean 'start'? one of charger, ",
+    ),
+    (
+        {"charger.2.power_kw": None, "charger.2.powr_kw": 50},
+        "trip.toml",
+        "charger.2.powr_kw ('Cheap')",
+        "50",
+        "did you mean 'power_kw'?",
+    ),
+    (
+        {"car.mass_kg": None, "car.mas_kg": 1800},
+        "car.toml",
+        "mas_kg",
+        "1800",
+        "did you mean 'mass_kg'?",
+    ),
     ({"start.sok": 0.5}, "trip.toml", "start.sok", "0.5", "one of battery_temperature_c, soc"),
     ({"a\nb": 1}, "trip.toml", r"'a\nb'", "1", "one of charger, currency"),
     ({"start.soc": "0.5"}, "trip.toml", "start.soc", "'0.5'", "a number"),
@@ -388,3 +409,9 @@ def test_bad_trip(
     with pytest.raises(InputError) as caught:
         load_trip(path)
     check(str(caught.value), str(tmp_path / file), field, value, allowed)
+
+
+def test_an_unknown_key_counts_what_is_missing_as_another_problem(tmp_path: Path) -> None:
+    path = write_trip(tmp_path, **{"start": None, "startt": {"soc": 1.0}})
+    with pytest.raises(InputError, match=r"startt: .*\(and 1 more problem\)$"):
+        load_trip(path)

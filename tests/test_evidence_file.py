@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import os
 import zipfile
 from math import inf
 from pathlib import Path
@@ -97,6 +98,35 @@ def test_only_kept_proofs_of_this_trip_are_written(result: Result, tmp_path: Pat
         with pytest.raises(ValueError, match=named):
             save_proofs(tmp_path / "x", trip, wrong)
     assert not list(tmp_path.iterdir())
+
+
+def test_a_link_stays_and_what_it_names_is_written(result: Result, tmp_path: Path) -> None:
+    (tmp_path / "folder").mkdir()
+    target, link = tmp_path / "folder" / "target", tmp_path / "link"
+    link.symlink_to(target)
+    for _ in range(2):  # a name that is free yet, and an old file
+        save_proofs(link, TRIP, result)
+        assert link.is_symlink() and not target.is_symlink()
+        assert load_proofs(target).cost == load_proofs(link).cost == result.cost
+        assert [p.name for p in target.parent.iterdir()] == ["target"]
+
+
+@pytest.mark.parametrize("through_a_link", [False, True])
+def test_pipes_and_folders_are_not_replaced(
+    result: Result, tmp_path: Path, through_a_link: bool
+) -> None:
+    pipe, folder = tmp_path / "pipe", tmp_path / "folder"
+    os.mkfifo(pipe)  # as a device would be
+    folder.mkdir()
+    for place in (pipe, folder):
+        path = place
+        if through_a_link:
+            path = tmp_path / f"link to {place.name}"
+            path.symlink_to(place)
+        with pytest.raises(OSError, match="not a regular file"):
+            save_proofs(path, TRIP, result)
+    assert pipe.is_fifo() and folder.is_dir() and not list(folder.iterdir())
+    assert {p.name.removeprefix("link to ") for p in tmp_path.iterdir()} == {"pipe", "folder"}
 
 
 # ---------------------------------------------------------------------------- damage

@@ -307,5 +307,5 @@ def test_the_command_prints_the_front_and_its_json(tmp_path: Path) -> None:
     assert told.exit_code == 0 and len(front["points"]) >= 3 and front["asked_gap"] is None
     assert f"{front['points'][0]['value']:.2f}" in shown.output
     hopeless = CliRunner().invoke(command, [path, *options, "--set", "start.soc=0.06"])
-    assert hopeless.exit_code == 4 and "no plan found" in hopeless.output
+    assert hopeless.exit_code == 3 and "infeasible" in hopeless.output
     assert CliRunner().invoke(command, [path, "--latest-min", "-1"]).exit_code == 2

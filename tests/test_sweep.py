@@ -13,11 +13,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
+from click.testing import CliRunner, Result
 from trips import write_trip
 
 from enumerate import Sweep, plan, sweep
-from enumerate.cli_studies import sweep as command
+from enumerate.cli import main
 from enumerate.sweep import front_task, plan_task
 from relax import InputError, load_trip
 from relax.trip import Trip
@@ -144,6 +144,61 @@ def test_a_variant_that_is_no_trip_is_a_row_with_its_error(trip: str) -> None:
         sweep(trip, {"start.soc": []})
 
 
+@pytest.mark.parametrize(
+    ("over", "named"),
+    [
+        ({"foo": [1, 2]}, "foo: 1; allowed: one of charger"),
+        ({"start.soc": [0.5], "route.ambient": [3]}, "route.ambient: 3; allowed: did you mean"),
+        ({"route.ambient_c": ["abc", "de"]}, "route.ambient_c: 'abc'; allowed: degrees C"),
+        ({"start.soc": [1.7, -1], "end.soc_min": [0.1, 0.2]}, "start.soc: 1.7; allowed: "),
+    ],
+)
+def test_where_no_variant_is_a_trip_nothing_runs(
+    trip: str, tmp_path: Path, over: dict[str, Any], named: str
+) -> None:
+    def never(_: Trip) -> dict[str, Any]:
+        raise AssertionError("run in vain")
+
+    file = tmp_path / "rows.jsonl"
+    with pytest.raises(InputError) as caught:
+        sweep(trip, over, task=never, file=file)
+    assert named in str(caught.value) and not file.exists()
+
+
+@pytest.mark.parametrize(
+    ("content", "line"),
+    [
+        (b"# A page\n\ntext\n", "line 1: '# A page'"),
+        (b'{"name": "other"}\n', "line 1: "),
+        (b"[1, 2]", "line 1: '[1, 2]'"),
+        (b'\n{"sweep": {"torn": 1\nname,value\n', "line 3: 'name,value'"),
+        (b"PK\x03\x04\xff\xfe", "byte 4"),
+    ],
+)
+def test_any_other_file_is_refused_and_kept(
+    trip: str, tmp_path: Path, content: bytes, line: str
+) -> None:
+    file = tmp_path / "notes"
+    file.write_bytes(content)
+    with pytest.raises(InputError) as caught:
+        sweep(trip, {"start.soc": [0.5]}, task=quick, file=file)
+    assert f"{file}: {line}" in str(caught.value) and file.read_bytes() == content
+
+
+@pytest.mark.parametrize("kept", [0, 1, 6, 40])
+def test_a_line_torn_anywhere_is_computed_again(trip: str, tmp_path: Path, kept: int) -> None:
+    file = tmp_path / "rows.jsonl"
+    over = {"start.soc": [0.5, 0.6]}
+    sweep(trip, over, task=quick, file=file)
+    first, second = file.read_bytes().splitlines(keepends=True)
+    file.write_bytes(first + second[:kept])
+    new: list[int] = []
+    for _ in range(2):  # the torn line stays in the middle and harms nobody
+        found = sweep(trip, over, task=quick, file=file, progress=lambda done, *_: new.append(done))
+        assert len(found.rows) == 2 and not found.missing
+    assert new == [2]
+
+
 def test_an_error_of_the_task_is_not_hidden(trip: str, tmp_path: Path) -> None:
     def broken(trip: Trip) -> dict[str, Any]:
         raise ZeroDivisionError(trip.name)
@@ -182,18 +237,73 @@ def test_fronts_can_be_swept(trip: str) -> None:
     assert row.result["unit"] == "kWh" and len(row.result["points"]) >= 2
 
 
+def call(*arguments: object) -> Result:
+    return CliRunner().invoke(main, ["sweep", *(str(a) for a in arguments), "-q"])
+
+
 def test_the_command_saves_rows_and_goes_on(trip: str, tmp_path: Path) -> None:
     file = tmp_path / "rows.jsonl"
-    options = ["--set", "grid.step_km=20", "--set", "grid.cells=4", "--file", str(file), "-q"]
+    options = ["--set", "grid.step_km=20", "--set", "grid.cells=4", "--file", file]
     wide = ["--over", "route.ambient_c=-5:5:5", "--over", "vehicle.heat_pump_kw=0,1.0"]
-    first = CliRunner().invoke(
-        command, [trip, "--over", "route.ambient_c=5", wide[2], wide[3], *options]
-    )
-    assert first.exit_code == 0 and f"2 rows in {file}" in first.output, first.output
-    again = CliRunner().invoke(command, [trip, *wide, *options])
-    assert again.exit_code == 0 and f"6 rows in {file}" in again.output, again.output
+    first = call(trip, "--over", "route.ambient_c=5", wide[2], wide[3], *options)
+    assert first.exit_code == 0 and f"2 rows in {file} (2 planned, 0 inf" in first.stdout
+    again = call(trip, *wide, *options)
+    assert again.exit_code == 0 and again.stderr == ""
+    counted = f"6 rows in {file} (6 planned, 0 infeasible, 0 invalid; 4 computed anew)"
+    assert again.stdout.splitlines()[-1] == counted
     rows = [json.loads(line) for line in file.read_text().splitlines()]
     assert len(rows) == 6 and all(row["result"]["status"] for row in rows)
     assert [r["variant"]["route.ambient_c"] for r in rows] == [5, 5, -5, -5, 0, 0]
+    listed = [line.split() for line in again.stdout.splitlines()]
+    for row in rows:
+        variant, result = row["variant"], row["result"]
+        (line,) = [c for c in listed if c[:2] == [str(v) for v in variant.values()]]
+        stops = " + ".join(s["charger"] for s in result["plan"]["stops"]) or "none"
+        assert line[2:4] == [f"{result['cost']:.2f}", f"{result['lower_bound']:.2f}"]
+        assert " ".join(line[5:]) == stops
     for bad in ("route.ambient_c", "route.ambient_c=", "route.ambient_c=1:2:0", "=1", "a=1:0:1"):
-        assert CliRunner().invoke(command, [trip, "--over", bad, *options]).exit_code == 2
+        done = call(trip, "--over", bad, *options)
+        assert done.exit_code == 2 and done.stderr.startswith("evrelax: command line: --over: ")
+        assert done.stderr.count("\n") == 1 and repr(bad) in done.stderr
+
+
+def test_the_command_says_what_became_of_every_row(trip: str, tmp_path: Path) -> None:
+    file = tmp_path / "rows.jsonl"
+    options = ["--set", "grid.step_km=20", "--set", "grid.cells=4", "--file", file]
+    done = call(trip, "--over", "start.soc=0.5,0.06,abc", *options)
+    assert done.exit_code == 0 and done.stderr == ""
+    text = " ".join(done.stdout.split())
+    assert "infeasible: the car gets to" in text
+    assert "invalid: override: start.soc: 'abc'; allowed: a number" in text
+    assert done.stdout.endswith("(1 planned, 1 infeasible, 1 invalid; 3 computed anew)\n")
+    other = write_trip(tmp_path, **{"objective.time_value_per_h": 20.0})
+    done = call(other, "--over", "start.soc=0.5", *options)
+    assert f"1 row in {file} (1 planned, 0 infeasible, 0 invalid; 1 computed anew)" in done.stdout
+    assert len(file.read_text().splitlines()) == 4  # the rows of the first trip are there too
+
+
+@pytest.mark.parametrize("over", ["foo=1,2", "route.ambient_c=abc", "start.socc=0.5"])
+def test_the_command_refuses_what_no_row_could_use(trip: str, tmp_path: Path, over: str) -> None:
+    file = tmp_path / "rows.jsonl"
+    done = call(trip, "--over", over, "--file", file)
+    assert done.exit_code == 2 and done.stdout == "" and done.stderr.count("\n") == 1
+    assert done.stderr.startswith(f"evrelax: override: {over.split('=')[0]}: ")
+    assert not file.exists()
+
+
+def test_the_command_appends_to_no_other_file(trip: str, tmp_path: Path) -> None:
+    page = tmp_path / "README.md"
+    page.write_text("# Title\n", encoding="utf-8")
+    done = call(trip, "--over", "start.soc=0.5", "--file", page)
+    assert done.exit_code == 2 and done.stdout == "" and done.stderr.count("\n") == 1
+    assert "README.md: line 1: '# Title'; allowed: a row of a sweep" in done.stderr
+    assert page.read_text(encoding="utf-8") == "# Title\n"
+    os.mkfifo(tmp_path / "pipe")
+    done = call(trip, "--over", "start.soc=0.5", "--file", tmp_path / "pipe")
+    assert done.exit_code == 2 and "--file: " in done.stderr and "regular file" in done.stderr
+
+
+def test_values_of_a_key_come_in_one_option(trip: str, tmp_path: Path) -> None:
+    twice = ("--over", "start.soc=0.5", "--over", "start.soc=0.6")
+    done = call(trip, *twice, "--file", tmp_path / "rows.jsonl")
+    assert done.exit_code == 2 and "all values of start.soc in one --over" in done.stderr

@@ -1,0 +1,231 @@
+"""Owns what commands write: text, files, progress, and whether a place can be written to.
+
+Knows nothing of how a plan is found. Imports nothing heavy.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from enumerate.cli_exit import NOT_WRITTEN, bad_option, fail, reason, silence
+
+if TYPE_CHECKING:
+    from enumerate.explore import Progress
+
+__all__ = [
+    "QUIET_S",
+    "STDOUT",
+    "check_files",
+    "check_folder",
+    "open_bar",
+    "say",
+    "show_progress",
+    "write_all",
+    "write_text",
+]
+
+QUIET_S = 10.0
+"""Away from a terminal, progress is told only this long after the start, and this often [s]."""
+STDOUT = "-"
+REGULAR = {"--ledger", "--file"}
+"""Options whose file is replaced or read as well: a pipe or a device cannot be either."""
+
+
+# ---------------------------------------------------------------------------- places
+
+
+def check_files(files: Mapping[str, str | None]) -> None:
+    """Refuse files that cannot be written before anything is computed.
+
+    Parameters
+    ----------
+    files : mapping of str to str or None
+        Option and file. A symbolic link stands for what it names. ``-`` is no file for
+        ``--json``.
+
+    Raises
+    ------
+    InputError
+        Names option, file and what is allowed.
+
+    Examples
+    --------
+    >>> check_files({"--ledger": "/"})
+    Traceback (most recent call last):
+        ...
+    relax.errors.InputError: command line: --ledger: '/'; allowed: a regular file, or a free name
+    """
+    for option, file in files.items():
+        if file is None or (option == "--json" and file == STDOUT):
+            continue
+        path = Path(os.path.realpath(file))
+        there = path.exists()
+        if option in REGULAR and there and not path.is_file():
+            raise bad_option(option, file, "a regular file, or a free name")
+        try:
+            if path.is_file() or path.is_dir() or not there:  # opening a pipe would wait
+                with path.open("ab"):
+                    pass
+                if not there:
+                    path.unlink()
+        except OSError as error:
+            allowed = f"a file that can be written ({reason(error)})"
+            raise bad_option(option, file, allowed) from error
+
+
+def check_folder(option: str, folder: Path | None) -> None:
+    """Make a folder; refuse one that cannot be written to.
+
+    Raises
+    ------
+    InputError
+        Names option, folder and what is allowed.
+
+    Examples
+    --------
+    >>> check_folder("--plot", None)
+    """
+    import tempfile
+
+    if folder is None:
+        return
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        allowed = f"a folder that can be written to ({reason(error)})"
+        raise bad_option(option, str(folder), allowed) from error
+
+
+# ---------------------------------------------------------------------------- text
+
+
+def say(text: str, err: bool = False) -> None:
+    """Print text, in ASCII where the stream cannot do better.
+
+    Raises
+    ------
+    OSError
+        The stream is closed, or what is behind it is full.
+
+    Examples
+    --------
+    >>> say("315.45 SEK")
+    315.45 SEK
+    """
+    from enumerate.table import printable
+
+    stream = sys.stderr if err else sys.stdout
+    if stream is None:
+        raise OSError("it is closed")
+    click.echo(printable(text, stream.encoding), err=err)
+
+
+def write_text(file: str, text: str) -> None:
+    """Write a line into a file; ``-``: to standard output.
+
+    Examples
+    --------
+    >>> write_text("-", "{}")
+    {}
+    """
+    if file == STDOUT:
+        say(text)
+    else:
+        Path(file).write_text(text + "\n", encoding="utf-8")
+
+
+def write_all(outputs: Sequence[tuple[str, Callable[[], None]]]) -> None:
+    """Write one output after the other; what fails does not keep the others from being written.
+
+    Parameters
+    ----------
+    outputs : sequence of (str, callable)
+        What it is, and what writes it.
+
+    Examples
+    --------
+    >>> write_all([("standard output", lambda: say("done"))])
+    done
+    """
+    failed, left = [], False
+    for name, write in outputs:
+        try:
+            write()
+        except BrokenPipeError:  # the reader has seen enough, as 'head' has
+            silence(sys.stdout)
+            left = True
+        except OSError as error:
+            if sys.stdout is not None:
+                silence(sys.stdout)
+            failed.append(f"{name}: {reason(error)}")
+    if failed:
+        fail(f"the result could not be written: {'; '.join(failed)}", NOT_WRITTEN)
+    if left:
+        sys.exit(NOT_WRITTEN)
+
+
+# ---------------------------------------------------------------------------- progress
+
+
+@contextmanager
+def show_progress(quiet: bool) -> Iterator[Callable[[Progress], None] | None]:
+    """Yield what a search calls to tell how far it is; None if nobody wants to know.
+
+    Examples
+    --------
+    >>> with show_progress(quiet=True) as report:
+    ...     report is None
+    True
+    """
+    if quiet:
+        yield None
+        return
+    terminal = sys.stderr.isatty()
+    with ExitStack() as stack:
+        bars: dict[str, Any] = {}
+
+        def tell(progress: Progress) -> None:
+            if progress.phase not in bars:
+                stack.close()  # ends the bar of the phase before
+                bar = open_bar(progress.phase, progress.total, "subset", terminal)
+                bars[progress.phase] = stack.enter_context(bar)
+            bar = bars[progress.phase]
+            bar.total = max(progress.total, progress.done)
+            if progress.cost < float("inf"):
+                bar.set_postfix_str(
+                    f"best {progress.cost:.2f}, bound {progress.lower_bound:.2f}", refresh=False
+                )
+            bar.update(progress.done - bar.n)
+
+        yield tell
+
+
+def open_bar(phase: str, total: int | None, unit: str, terminal: bool) -> Any:
+    """Return a bar on standard error; away from a terminal it speaks late and seldom.
+
+    Examples
+    --------
+    >>> with open_bar("relax", 8, "subset", terminal=False) as bar:
+    ...     bar.total
+    8
+    """
+    from tqdm import tqdm
+
+    return tqdm(
+        total=total,
+        desc=phase,
+        unit=unit,
+        file=sys.stderr,
+        leave=False,
+        delay=0.5 if terminal else QUIET_S,
+        mininterval=0.1 if terminal else QUIET_S,
+    )
