@@ -281,8 +281,8 @@ def pareto(
     Raises
     ------
     ValueError
-        More than 10 chargers, fewer than 2 points, a gap or a time that is not above 0,
-        or an unknown measure.
+        More than 10 chargers, fewer than 2 points, a gap not above 0 and below 1, a time not
+        above 0, or an unknown measure.
 
     Examples
     --------
@@ -298,9 +298,10 @@ def pareto(
         raise ValueError(f"at most {MOST_CHARGERS} chargers, not {len(trip.chargers)}")
     if points < 2:
         raise ValueError(f"at least 2 points, not {points}")
-    for name, value in (("gap", gap), ("latest_h", latest_h)):
-        if value is not None and not value > 0.0:
-            raise ValueError(f"{name} must be above 0, not {value}")
+    if gap is not None and not 0.0 < gap < 1.0:
+        raise ValueError(f"gap must be above 0 and below 1, not {gap}")
+    if latest_h is not None and not latest_h > 0.0:
+        raise ValueError(f"latest_h must be above 0, not {latest_h}")
     if measure not in ("energy", "cost"):
         raise ValueError(f"measure must be 'energy' or 'cost', not {measure!r}")
     grid = grid or trip.grid

@@ -234,6 +234,7 @@ def test_a_trip_without_a_plan_has_none() -> None:
     [
         ({"points": 1}, "at least 2 points"),
         ({"gap": 0.0}, "gap must be above 0"),
+        ({"gap": 1.0}, "gap must be above 0 and below 1"),
         ({"latest_h": -1.0}, "latest_h must be above 0"),
         ({"measure": "time"}, "measure must be"),
     ],
