@@ -141,9 +141,10 @@ def summarise(rows: list[Row]) -> str:
             continue
         good = [row for row in group if number(row, "gap") <= gap * (1.0 + 1e-9)]
         times, programs = ([number(r, name) for r in group] for name in ("total_s", "programs"))
+        variants = counted(len(group), "variant")
         lines.append(
-            f"| {100 * gap:g} % | {counted(len(group), 'variant')} of `paper-400km` | {len(good)} of "
-            f"{len(group)} | {median(times):.1f} s ({min(times):.1f} to {max(times):.1f}) | "
+            f"| {100 * gap:g} % | {variants} of `paper-400km` | {len(good)} of {len(group)} | "
+            f"{median(times):.1f} s ({min(times):.1f} to {max(times):.1f}) | "
             f"{median(programs):.0f} ({min(programs):.0f} to {max(programs):.0f}) |"
         )
         if limits:

@@ -23,7 +23,7 @@ from enumerate.evidence_file import fingerprint, load_proofs
 from enumerate.gap import DEFAULT_GAP, closing_cost, is_proved, relative_gap
 from enumerate.ledger import Ledger, Outcome, Row
 from enumerate.subset import all_subsets
-from enumerate.table import number, paragraph, percent
+from enumerate.table import counted, number, paragraph, percent
 from relax.errors import InputError
 from relax.instance import Instance, make_drive, make_instance
 from relax.replay import replay
@@ -98,14 +98,18 @@ class Audit:
         return relative_gap(self.cost, self.lower_bound)
 
     def __str__(self) -> str:
-        verdict = "every claim holds" if self.holds else f"{len(self.failures)} claims fail"
-        stages = f"{self.stage_steps} steps over stages, " if self.stage_steps else ""
+        failed = len(self.failures)
+        verdict = "every claim holds"
+        if failed:
+            verdict = f"{counted(failed, 'claim')} {'fails' if failed == 1 else 'fail'}"
+        stages = f"{counted(self.stage_steps, 'step')} over stages, " if self.stage_steps else ""
         lines = [
             paragraph("audit", f"{self.trip}: {verdict}."),
             paragraph(
                 "checked",
-                f"{self.subsets} choices of stops in {self.rows} rows, {self.nodes} boxes rebuilt, "
-                f"{stages}{self.programs} programs certified, "
+                f"{counted(self.subsets, 'choice')} of stops in {counted(self.rows, 'row')}, "
+                f"{counted(self.nodes, 'box', 'boxes')} rebuilt, "
+                f"{stages}{counted(self.programs, 'program')} certified, "
                 f"in {number(self.seconds, 2)} s; no solver.",
             ),
         ]

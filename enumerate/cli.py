@@ -31,11 +31,12 @@ from enumerate.cli_output import (
     check_files,
     check_folder,
     say,
-    show_progress,
     write_all,
     write_text,
 )
 from enumerate.cli_studies import pareto, sweep
+from enumerate.display import show_progress
+from enumerate.table import paragraph
 
 if TYPE_CHECKING:
     from enumerate.result import Result
@@ -242,7 +243,7 @@ def trips() -> None:
     for kind, names in _shipped().items():
         say(kind)
         for name, text in names.items():
-            say(f"  {name:<26}{text}".rstrip())
+            say(paragraph(f"  {name}", text, 28))
 
 
 @main.command()

@@ -14,7 +14,8 @@ import click
 
 from enumerate.cli_exit import BAD_INPUT, STOPPED, Command, before_planning, fail
 from enumerate.cli_options import QUIET, settings
-from enumerate.cli_output import open_bar, say, write_all
+from enumerate.cli_output import say, write_all
+from enumerate.display import open_bar
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -75,7 +76,7 @@ def _progress(quiet: bool) -> Iterator[Callable[[int, int], None] | None]:
     if quiet:
         yield None
         return
-    bar: Any = open_bar("audit", None, "step", sys.stderr.isatty())
+    bar: Any = open_bar("audit", None, "step")
 
     def tell(done: int, total: int) -> None:
         bar.total = total

@@ -1,4 +1,4 @@
-"""Owns what commands write: text, files, progress, and whether a place can be written to.
+"""Owns what commands write: text, files, and whether a place can be written to.
 
 Knows nothing of how a plan is found. Imports nothing heavy.
 """
@@ -7,32 +7,22 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 import click
 
 from enumerate.cli_exit import NOT_WRITTEN, bad_option, fail, reason, silence
 
-if TYPE_CHECKING:
-    from enumerate.explore import Progress
-
 __all__ = [
-    "QUIET_S",
     "STDOUT",
     "check_files",
     "check_folder",
-    "open_bar",
     "say",
-    "show_progress",
     "write_all",
     "write_text",
 ]
 
-QUIET_S = 10.0
-"""Away from a terminal, progress is told only this long after the start, and this often [s]."""
 STDOUT = "-"
 REGULAR = {"--ledger", "--file"}
 """Options whose file is replaced or read as well: a pipe or a device cannot be either."""
@@ -171,61 +161,3 @@ def write_all(outputs: Sequence[tuple[str, Callable[[], None]]]) -> None:
         fail(f"the result could not be written: {'; '.join(failed)}", NOT_WRITTEN)
     if left:
         sys.exit(NOT_WRITTEN)
-
-
-# ---------------------------------------------------------------------------- progress
-
-
-@contextmanager
-def show_progress(quiet: bool) -> Iterator[Callable[[Progress], None] | None]:
-    """Yield what a search calls to tell how far it is; None if nobody wants to know.
-
-    Examples
-    --------
-    >>> with show_progress(quiet=True) as report:
-    ...     report is None
-    True
-    """
-    if quiet:
-        yield None
-        return
-    terminal = sys.stderr.isatty()
-    with ExitStack() as stack:
-        bars: dict[str, Any] = {}
-
-        def tell(progress: Progress) -> None:
-            if progress.phase not in bars:
-                stack.close()  # ends the bar of the phase before
-                bar = open_bar(progress.phase, progress.total, "subset", terminal)
-                bars[progress.phase] = stack.enter_context(bar)
-            bar = bars[progress.phase]
-            bar.total = max(progress.total, progress.done)
-            if progress.cost < float("inf"):
-                bar.set_postfix_str(
-                    f"best {progress.cost:.2f}, bound {progress.lower_bound:.2f}", refresh=False
-                )
-            bar.update(progress.done - bar.n)
-
-        yield tell
-
-
-def open_bar(phase: str, total: int | None, unit: str, terminal: bool) -> Any:
-    """Return a bar on standard error; away from a terminal it speaks late and seldom.
-
-    Examples
-    --------
-    >>> with open_bar("relax", 8, "subset", terminal=False) as bar:
-    ...     bar.total
-    8
-    """
-    from tqdm import tqdm
-
-    return tqdm(
-        total=total,
-        desc=phase,
-        unit=unit,
-        file=sys.stderr,
-        leave=False,
-        delay=0.5 if terminal else QUIET_S,
-        mininterval=0.1 if terminal else QUIET_S,
-    )

@@ -37,17 +37,15 @@ from enumerate.cli_options import (
 from enumerate.cli_output import (
     STDOUT,
     check_files,
-    open_bar,
     say,
-    show_progress,
     write_all,
     write_text,
 )
+from enumerate.display import open_bar, show_progress
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
-    from enumerate.front import Front
     from enumerate.result import Result
     from enumerate.sweep import Sweep, SweepRow
     from relax.trip import Trip
@@ -120,6 +118,7 @@ def pareto(
         loaded = _load(trip, overrides)
         from enumerate.pareto import MOST_CHARGERS
         from enumerate.pareto import pareto as find_front
+        from enumerate.show_front import format_front
         from relax.errors import InputError
 
         if (number := len(loaded.chargers)) > MOST_CHARGERS:
@@ -142,7 +141,7 @@ def pareto(
         text = json.dumps(front.to_dict(), allow_nan=False)
         outputs.append((f"--json {json_file}", lambda: write_text(json_file, text)))
     pure = json_file == STDOUT
-    told = _front_text(front) if none is None else _none_text(none, loaded, pure)
+    told = format_front(front) if none is None else _none_text(none, loaded, pure)
     if not (pure and front.points):
         outputs.append(("standard output", lambda: say(told, err=pure)))
     write_all(outputs)
@@ -166,43 +165,6 @@ def _none_text(result: Result, trip: Trip, short: bool) -> str:
     if short and result.diagnosis is not None:
         return f"evrelax: {trip.name}: no plan: {result.diagnosis.reason}"
     return format_result(result, trip)
-
-
-def _front_text(front: Front) -> str:
-    """Return a front as a table for people."""
-    from enumerate.table import number, percent, table
-
-    if not front.points:
-        return f"{front.trip}: no plan found" + (
-            f" ({front.interrupted})" * bool(front.interrupted)
-        )
-    head = ["time min", front.unit, "bound", "gap %", "front gap %", "stops"]
-    rows = [
-        [
-            number(60.0 * p.time_h, 2),
-            number(p.value, 2),
-            number(p.lower_bound, 2),
-            percent(p.gap),
-            percent(p.front_gap),
-            " + ".join(p.stops) or "none",
-        ]
-        for p in front.points
-    ]
-    notes = [
-        "",
-        "time: charging and detours. bound: no plan within this time undercuts it. front gap: no",
-        "plan is better by more than this share in both time and " + front.measure + ".",
-    ]
-    if front.interrupted:
-        notes.append(f"Not complete: {front.interrupted}.")
-    return "\n".join(
-        [
-            f"{front.trip}: {front.measure} against time",
-            "",
-            table(head, rows, words_last=True),
-            *notes,
-        ]
-    )
 
 
 @click.command(cls=Command)
@@ -338,7 +300,7 @@ def _rows(quiet: bool) -> Iterator[Callable[[int, int, SweepRow], None] | None]:
 
     def tell(done: int, total: int, _: SweepRow) -> None:
         if not bars:
-            bars.append(open_bar("sweep", total, "plan", sys.stderr.isatty()))
+            bars.append(open_bar("sweep", total, "plan"))
         bars[0].update(done - bars[0].n)
 
     try:

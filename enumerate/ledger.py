@@ -11,6 +11,7 @@ from enum import Enum
 from math import comb, inf
 
 from enumerate.subset import Subset
+from enumerate.table import counted
 
 __all__ = ["Ledger", "Outcome", "Row"]
 
@@ -122,12 +123,14 @@ class Ledger:
             chosen = (*row.subset, *row.undecided)
             valid = list(row.subset) == sorted(row.subset) and len(set(chosen)) == len(chosen)
             if not valid or not all(0 <= i < n for i in chosen) or row.size < 0:
-                raise ValueError(f"the ledger accounts for chargers {chosen} of {n} in one row")
+                raise ValueError(
+                    f"the ledger accounts for chargers {chosen} of {n}, counted from 0, in one row"
+                )
         total = sum(row.size for row in self.rows)
         if total != 2**n or _overlap(self.rows, n):
             raise ValueError(
-                f"the ledger accounts for {total} subsets in {len(self.rows)} rows, "
-                f"not for each of the {2**n} once"
+                f"the ledger accounts for {counted(total, 'choice')} of stops in "
+                f"{counted(len(self.rows), 'row')}, not for each of the {2**n} once"
             )
 
     @property

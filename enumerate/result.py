@@ -122,7 +122,7 @@ class Result:
             return None
         from relax.certificate import make_certificate  # imports a solver
 
-        return make_certificate(self.instance)
+        return make_certificate(self.instance, names=self.chargers)
 
     @property
     def gap(self) -> float:

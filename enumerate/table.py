@@ -14,19 +14,25 @@ __all__ = [
     "MISSING",
     "WIDTH",
     "clock",
+    "counted",
     "minutes",
     "number",
     "paragraph",
     "percent",
     "printable",
     "table",
+    "unbroken",
 ]
 
-WIDTH = 100
-"""Longest line [characters]."""
+WIDTH = 80
+"""Longest line [characters]: what a terminal shows unless it was widened."""
+LABEL = 8
+"""Width of a paragraph's label [characters]."""
+NO_BREAK = "\N{NO-BREAK SPACE}"
+"""Stands for a blank within a name until lines are broken."""
 MISSING = "-"
 """Stands for what is not known."""
-LONGEST_NAME = 36
+LONGEST_NAME = 26
 """A first column beside wrapped text is not wider [characters]."""
 ASCII = str.maketrans({"°": "", "–": "-", "—": "-", "…": "...", "’": "'"})
 
@@ -102,21 +108,58 @@ def minutes(hours: float) -> str:
     return number(60.0 * hours)
 
 
-def paragraph(label: str, text: str) -> str:
+def counted(count: int, one: str, many: str = "") -> str:
+    """Return a count with its noun, in the singular for one.
+
+    Parameters
+    ----------
+    count : int
+        How many.
+    one, many : str
+        The noun; ``many`` is ``one`` with an s unless given.
+
+    Examples
+    --------
+    >>> counted(1, "row"), counted(2, "row"), counted(0, "box", "boxes")
+    ('1 row', '2 rows', '0 boxes')
+    """
+    return f"{count} {one if count == 1 else many or one + 's'}"
+
+
+def paragraph(label: str, text: str, width: int = LABEL) -> str:
     """Return text wrapped beside its label.
+
+    Parameters
+    ----------
+    label : str
+        Stands before the first line.
+    text : str
+        Any; empty: the label alone.
+    width : int
+        Of the label: further lines begin there [characters].
 
     Examples
     --------
     >>> paragraph("gap", "1.2 %")
     'gap     1.2 %'
+    >>> paragraph("  small", "a car", width=10)
+    '  small   a car'
     """
-    return textwrap.fill(
-        text,
-        WIDTH,
-        initial_indent=f"{label:<8}",
-        subsequent_indent=" " * 8,
-        break_on_hyphens=False,
-    )
+    head, *rest = _wrap(text, WIDTH - max(width, len(label)))
+    lines = [f"{label:<{width}}{head}", *(" " * width + line for line in rest)]
+    return "\n".join(line.rstrip() for line in lines)
+
+
+def unbroken(name: str) -> str:
+    """Return a name that no line breaks within, unless it is longer than a line.
+
+    Examples
+    --------
+    >>> print(paragraph("", "at the charger " * 4 + unbroken("Norra Vagen 12 in town"), 0))
+    at the charger at the charger at the charger at the charger
+    Norra Vagen 12 in town
+    """
+    return name.replace(" ", NO_BREAK)
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]], words_last: bool = False) -> str:
@@ -176,8 +219,9 @@ def table(head: Sequence[str], rows: Iterable[Sequence[str]], words_last: bool =
 
 def _wrap(text: str, width: int) -> list[str]:
     """Return lines of at most ``width`` (at least 8) characters, never none."""
-    return [
-        piece
-        for line in text.split("\n")
-        for piece in textwrap.wrap(line, max(width, 8), break_on_hyphens=False) or [""]
-    ]
+    width = max(width, 8)
+    pieces: list[str] = []
+    for line in text.split("\n"):
+        words = (w if len(w) <= width else w.replace(NO_BREAK, " ") for w in line.split(" "))
+        pieces += textwrap.wrap(" ".join(words), width, break_on_hyphens=False) or [""]
+    return [piece.replace(NO_BREAK, " ") for piece in pieces]

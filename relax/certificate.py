@@ -8,6 +8,7 @@ of other subsets, of plans and of their costs.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from textwrap import wrap
 from typing import Any
@@ -35,8 +36,10 @@ __all__ = ["Certificate", "Structure", "Twin", "check_structure", "make_certific
 
 SETTINGS = SolveSettings(tolerance=1e-8)
 """Tight: tightness and worth are read from the solution; the bound needs no such accuracy."""
-WIDTH = 98
+WIDTH = 80
 """Columns of the text."""
+TERM = 30
+"""Columns of a term's name."""
 
 
 @dataclass(frozen=True)
@@ -98,7 +101,9 @@ def _named_twice_or_never(program: ConeProgram) -> list[str]:
         if np.unique(np.searchsorted(borders, rows, side="right")).size > 1:
             flaws.append(f"the rows {name!r} are in several blocks")
     if np.any(count != 1):
-        flaws.append(f"{int((count != 1).sum())} rows have no name or several")
+        rows_without = int((count != 1).sum())
+        has = "row has" if rows_without == 1 else "rows have"
+        flaws.append(f"{rows_without} {has} no name or several")
     return flaws
 
 
@@ -165,6 +170,8 @@ class Certificate:
         Its name.
     subset : tuple of int
         Chargers used, by index.
+    stops : tuple of str
+        The same by name, or by place where names are not known.
     curvature : tuple of Verdict
         Shape of every map of the vehicle: what is convex as it is, and what is relaxed.
     structure : Structure or None
@@ -187,6 +194,7 @@ class Certificate:
 
     vehicle: str
     subset: tuple[int, ...]
+    stops: tuple[str, ...]
     curvature: tuple[Verdict, ...]
     structure: Structure | None
     bound: LowerBound | Infeasible | Unproved
@@ -198,23 +206,23 @@ class Certificate:
     twin: Twin | None = None
 
     def __str__(self) -> str:
-        used = ", ".join(str(i) for i in self.subset) or "none"
         parts = [
-            [f"Certificate: {self.vehicle}, chargers used (counted from 0): {used}"],
             ["Curvature of the maps", *(str(v) for v in self.curvature)],
             ["Program", *self._structure_text()],
             ["Bound", *self._bound_text()],
             ["Tightness at the relaxed optimum: relaxed minus exact", *self._tightness_text()],
-            ["Twin in cvxpy", self._twin_text()],
+            ["Twin in cvxpy", *self._twin_text()],
         ]
-        lines = []
+        used = ", ".join(self.stops) or "none"
+        lines = wrap(f"Certificate: {self.vehicle}; stops: {used}", WIDTH, subsequent_indent="    ")
         for title, *rest in parts:
             lines.append(title)
             for line in rest:
-                lines += wrap(
-                    line, WIDTH, initial_indent="  ", subsequent_indent="    ",
-                    drop_whitespace=False, replace_whitespace=False,
-                ) if len(line) > WIDTH - 2 else ["  " + line]  # fmt: skip
+                lines += (
+                    wrap(line, WIDTH, initial_indent="  ", subsequent_indent="    ")
+                    if len(line) > WIDTH - 2
+                    else ["  " + line]
+                )  # a table's line keeps its blanks
         return "\n".join(line.rstrip() for line in lines)
 
     def _structure_text(self) -> list[str]:
@@ -249,14 +257,14 @@ class Certificate:
         if not self.tightness:
             return ["none: the solver left no point"]
         lines = [
-            f"{'':<32}{'largest':>9}{'largest':>10}{'at':>8}{'above':>9}{'below':>9}{'net':>9}",
-            f"{'term':<32}{'kW':>9}{'kWh':>10}{'km':>8}{'kWh':>9}{'kWh':>9}{'kWh':>9}",
+            f"{'':<{TERM}}{'largest':>8}{'largest':>9}{'at':>7}{'above':>8}{'below':>8}{'net':>8}",
+            f"{'term':<{TERM}}{'kW':>8}{'kWh':>9}{'km':>7}{'kWh':>8}{'kWh':>8}{'kWh':>8}",
         ]
         for t in self.tightness:
-            at = f"{t.where_km:8.1f}" if t.largest_kwh > 1e-9 else f"{'-':>8}"
+            at = f"{t.where_km:7.1f}" if t.largest_kwh > 1e-9 else f"{'-':>7}"
             lines.append(
-                f"{f'{t.label} {t.term}':<32}{t.largest_kw:9.3f}{t.largest_kwh:10.4f}{at}"
-                f"{t.above_kwh:9.3f}{t.below_kwh:9.3f}{t.net_kwh:9.3f}"
+                f"{f'{t.label} {t.term}':<{TERM}}{t.largest_kw:8.3f}{t.largest_kwh:9.4f}{at}"
+                f"{t.above_kwh:8.3f}{t.below_kwh:8.3f}{t.net_kwh:8.3f}"
             )
         w = self.worth
         if w is not None:
@@ -268,18 +276,21 @@ class Certificate:
                 )
             ]
             counts = " and ".join(f"{int(on.sum())} of {size} {name}" for name, on, size in pairs)
-            lines.append(f"heat is worth more than electricity in {counts}:")
-            lines.append("there a loss relaxed from below alone would not be tight")
+            lines.append(
+                f"heat is worth more than electricity in {counts}: "
+                "there a loss relaxed from below alone would not be tight"
+            )
         return lines
 
-    def _twin_text(self) -> str:
+    def _twin_text(self) -> list[str]:
         if self.twin is None:
-            return "not asked for"
+            return ["not asked for"]
         yes = {True: "yes", False: "NO"}
-        return (
-            f"{self.twin.constraints} constraints; disciplined convex (DCP): "
-            f"{yes[self.twin.dcp]}; disciplined parametrised (DPP): {yes[self.twin.dpp]}"
-        )
+        return [
+            f"{self.twin.constraints} constraints",
+            f"disciplined convex (DCP): {yes[self.twin.dcp]}",
+            f"disciplined parametrised (DPP): {yes[self.twin.dpp]}",
+        ]
 
 
 def _judge_twin(instance: Instance, box: Box) -> Twin:
@@ -297,6 +308,7 @@ def make_certificate(
     instance: Instance,
     box: Box | None = None,
     *,
+    names: Sequence[str] | None = None,
     with_twin: bool = False,
     settings: SolveSettings | None = None,
 ) -> Certificate:
@@ -309,6 +321,8 @@ def make_certificate(
     box : Box, optional
         A valid box, for example a tightened one; ``make_box`` by default. The bound
         then holds for plans within it.
+    names : sequence of str, optional
+        Of all chargers of the trip; without them, stops are told by their place.
     with_twin : bool
         Also write the relaxation in cvxpy and ask for its verdict (takes seconds).
     settings : SolveSettings, optional
@@ -317,26 +331,32 @@ def make_certificate(
     Returns
     -------
     Certificate
-        Prints as text of at most 98 columns.
+        Prints as text of at most 80 columns.
 
     Examples
     --------
     >>> from relax import load_trip, make_instance
-    >>> certificate = make_certificate(make_instance(load_trip("paper-400km"), (1,)))
+    >>> trip = load_trip("paper-400km")
+    >>> names = [charger.name for charger in trip.chargers]
+    >>> certificate = make_certificate(make_instance(trip, (0, 2)), names=names)
     >>> certificate.structure.convex, certificate.bound.value > 0.0
     (True, True)
     >>> str(certificate).splitlines()[0]
-    'Certificate: paper-2022, chargers used (counted from 0): 1'
+    'Certificate: paper-2022; stops: km 100, km 300'
     """
     box = make_box(instance) if box is None else box
     curvature = judge_vehicle(instance.vehicle)
-    name = instance.vehicle.name
+    name, node_km = instance.vehicle.name, instance.drive.node_km
+    stops = tuple(
+        f"charger at {node_km[s.node]:.0f} km" if names is None else names[s.charger]
+        for s in instance.stops
+    )
     if box.empty:
         interval: Interval = getattr(box, box.empty)
         margin = float((interval.lo - interval.hi).max())
         method = f"interval reachability: nothing is left for {box.empty.replace('_', ' ')}"
         return Certificate(
-            name, instance.subset, curvature, None, Infeasible(margin), method,
+            name, instance.subset, stops, curvature, None, Infeasible(margin), method,
             np.nan, np.nan, (), None,
         )  # fmt: skip
     program = build_relaxation(instance, box)
@@ -353,6 +373,7 @@ def make_certificate(
     return Certificate(
         vehicle=name,
         subset=instance.subset,
+        stops=stops,
         curvature=curvature,
         structure=check_structure(program),
         bound=bound,

@@ -1,14 +1,16 @@
 """Owns the pictures of a plan: states and powers over distance and over charging time.
 
-Draws the arrays of a ``PlanReport`` as they are and computes nothing but the
-cabin's demand, which is the trip's. Imports matplotlib on first use and never
-touches pyplot, so it needs no display. Knows nothing of how a plan was found.
+Draws the arrays of a ``PlanReport`` as they are and computes nothing but what the
+weather asks of the cabin's heating and cooling. Imports matplotlib on first use and
+never touches pyplot, so it needs no display. Knows nothing of how a plan was found.
 """
 
 from __future__ import annotations
 
 import re
 import textwrap
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -21,10 +23,12 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from relax.maps import Table1
     from relax.trip import Trip
 
 __all__ = [
     "plot_battery_heat",
+    "plot_cabin_cooling",
     "plot_cabin_heat",
     "plot_case",
     "plot_power",
@@ -34,6 +38,8 @@ __all__ = [
 ]
 
 Array = npt.NDArray[np.float64]
+Panel = Callable[["Axes", PlanReport | ChargeTrace], "Axes"]
+"""Draws one panel of a column."""
 
 BLUE, ORANGE, GREEN, RED, PURPLE, SKY, GREY = (
     "#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9", "#C4C4C4",
@@ -76,6 +82,10 @@ HEADROOM = 1.6
 it are named, not drawn, or the powers would be a flat line."""
 TITLE_WIDTH = 22
 """Longest line of the title above a stop [characters]."""
+LEAST_KW = 1e-3
+"""Less than this is no demand of the cabin but rounding of its table."""
+ROW_INCHES = 1.64
+"""Height of a row of panels."""
 DPI = 200
 
 
@@ -267,16 +277,42 @@ def plot_cabin_heat(ax: Axes, trace: PlanReport | ChargeTrace, trip: Trip) -> Ax
         (both, pump, "heater", "heater"),
     ):
         ax.stairs(top, edges, baseline=base, fill=True, color=COLOUR[name], label=label, alpha=0.75)
-    if isinstance(trace, PlanReport):
-        demand, x = vehicle.cabin_heating_kw(trip.route.ambient_c), trip.route.node_km
-    else:
-        charger = next(c for c in trip.chargers if c.name == trace.charger)
-        x = edges[[0, -1]]
-        demand = np.array([vehicle.cabin_heating_kw.at(charger.ambient_c)])
+    demand, x = _by_weather(vehicle.cabin_heating_kw, trace, trip)
     ax.stairs(demand, x, baseline=None, color="black", linestyle=":", linewidth=1.0, label="demand")
     ax.set_ylabel("cabin heat [kW]")
     ax.set_ylim(0.0, max(1.0, 1.05 * float(max(both.max(), demand.max()))))
     return ax
+
+
+def plot_cabin_cooling(ax: Axes, trace: PlanReport | ChargeTrace, trip: Trip) -> Axes:
+    """Draw the electrical power of cabin cooling; parameters as for ``plot_cabin_heat``.
+
+    Examples
+    --------
+    >>> from matplotlib.figure import Figure
+    >>> from relax import load_trip
+    >>> from relax.plot import plot_cabin_cooling
+    >>> from relax.report import ChargeTrace
+    >>> two, one = np.array([0.0, 0.5]), np.array([2.0])
+    >>> trace = ChargeTrace("km 200", two, two, two, *[one] * 9)
+    >>> hot = load_trip("paper-400km", overrides={"route.ambient_c": 32.0})
+    >>> ax = plot_cabin_cooling(Figure().subplots(), trace, hot)
+    >>> round(float(ax.patches[0].get_data().values[0]), 6)
+    1.0
+    """
+    power, x = _by_weather(trip.vehicle.cabin_cooling_kw, trace, trip)
+    _stairs(ax, x, power, "cooling", "cabin cooling")
+    ax.set_ylabel("cabin cooling [kW]")
+    ax.set_ylim(0.0, max(1.0, 1.05 * float(power.max())))
+    return ax
+
+
+def _by_weather(curve: Table1, trace: PlanReport | ChargeTrace, trip: Trip) -> tuple[Array, Array]:
+    """Return a power over the ambient temperature, and the borders between which it holds."""
+    if isinstance(trace, PlanReport):
+        return curve(trip.route.ambient_c), trip.route.node_km
+    charger = next(c for c in trip.chargers if c.name == trace.charger)
+    return np.array([curve.at(charger.ambient_c)]), _edges(trace)[[0, -1]]
 
 
 def plot_battery_heat(ax: Axes, trace: PlanReport | ChargeTrace) -> Axes:
@@ -320,8 +356,9 @@ def plot_case(result: HasPlan | PlanReport, trip: Trip, max_stops: int = 6) -> F
     Returns
     -------
     Figure
-        Five rows: SoC, battery temperature, battery power, cabin heat, battery
-        heating and cooling. Not registered with pyplot.
+        A row each: SoC, battery temperature, battery power, cabin heat and cabin
+        cooling where the weather asks for them, battery heating and cooling. Not
+        registered with pyplot.
 
     Raises
     ------
@@ -344,21 +381,23 @@ def plot_case(result: HasPlan | PlanReport, trip: Trip, max_stops: int = 6) -> F
     if report is None:
         raise ValueError("there is no plan to draw")
     stops = report.charge[:max_stops]
+    panels = _panels(report, trip)
     with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(6.0 + 1.6 * len(stops), 8.2), layout="constrained")
+        size = (6.0 + 1.6 * len(stops), ROW_INCHES * len(panels))
+        figure = Figure(figsize=size, layout="constrained")
         grid = figure.subplots(
-            5,
+            len(panels),
             1 + len(stops),
             squeeze=False,
             sharex="col",
             gridspec_kw={"width_ratios": [3.3] + [1.0] * len(stops)},
         )
-        _column(grid[:, 0], report, trip)
+        _column(grid[:, 0], report, panels)
         _mark_stops(grid[:, 0], report)
         grid[0, 0].set_title(f"{trip.name}: driving", parse_math=False)
         grid[-1, 0].set_xlabel("distance [km]")
         for column, trace in zip(grid.T[1:], stops, strict=True):
-            _column(column, trace, trip)
+            _column(column, trace, panels)
             title = textwrap.fill(f"charging: {trace.charger}", TITLE_WIDTH)
             column[0].set_title(title, parse_math=False)
             column[-1].set_xlabel("charging time [min]")
@@ -367,13 +406,23 @@ def plot_case(result: HasPlan | PlanReport, trip: Trip, max_stops: int = 6) -> F
     return figure
 
 
-def _column(axes: npt.NDArray[Any], trace: PlanReport | ChargeTrace, trip: Trip) -> None:
+def _panels(report: PlanReport, trip: Trip) -> list[Panel]:
+    """Return what to draw, from top to bottom: of the cabin only what the weather asks for."""
+    used = {s.charger for s in report.stops}
+    parked = [c.ambient_c for c in trip.chargers if c.name in used]
+    ambient = np.concatenate([trip.route.ambient_c, parked])
+    panels: list[Panel] = [plot_soc, plot_temperature, plot_power]
+    if np.any(trip.vehicle.cabin_heating_kw(ambient) > LEAST_KW):
+        panels.append(partial(plot_cabin_heat, trip=trip))
+    if np.any(trip.vehicle.cabin_cooling_kw(ambient) > LEAST_KW):
+        panels.append(partial(plot_cabin_cooling, trip=trip))
+    return [*panels, plot_battery_heat]
+
+
+def _column(axes: npt.NDArray[Any], trace: PlanReport | ChargeTrace, panels: list[Panel]) -> None:
     """Fill one column of panels."""
-    plot_soc(axes[0], trace)
-    plot_temperature(axes[1], trace)
-    plot_power(axes[2], trace)
-    plot_cabin_heat(axes[3], trace, trip)
-    plot_battery_heat(axes[4], trace)
+    for ax, draw in zip(axes, panels, strict=True):
+        draw(ax, trace)
     edges = _edges(trace)
     for ax in axes:
         ax.set_xlim(float(edges[0]), float(edges[-1]))

@@ -176,7 +176,8 @@ class PlanReport:
     final_soc, final_temperature_c : float
         At the destination.
     totals_kwh : dict of str to float
-        Energies by use, replayed.
+        Energies by use, replayed; of ``propulsion_and_auxiliaries``, what cabin cooling took
+        is named again as ``cabin_cooling``.
     drive : DriveTrace
         Arrays over distance.
     charge : tuple of ChargeTrace
@@ -255,7 +256,7 @@ def make_report(trip: Trip, instance: Instance, done: Execution) -> PlanReport:
         driving_h=trip.route.driving_h,
         final_soc=final,
         final_temperature_c=driven.final_temperature_c,
-        totals_kwh=driven.totals_kwh,
+        totals_kwh=driven.totals_kwh | {"cabin_cooling": _cabin_cooling_kwh(trip, driven)},
         drive=_drive_trace(instance, done.trajectory, driven),
         charge=tuple(
             _charge_trace(trip, plan, ran)
@@ -263,6 +264,16 @@ def make_report(trip: Trip, instance: Instance, done: Execution) -> PlanReport:
         ),
         deviation=_deviation(instance, done.trajectory, driven),
     )
+
+
+def _cabin_cooling_kwh(trip: Trip, driven: Replay) -> float:
+    """Return the energy of cabin cooling [kWh]: weather and time decide it, no control does.
+
+    The drive counts it in its base load, with the same powers over the same times.
+    """
+    power, route = trip.vehicle.cabin_cooling_kw, trip.route
+    parked = sum(power.at(trip.chargers[s.charger].ambient_c) * s.dwell_h for s in driven.stops)
+    return float(power(route.ambient_c) @ route.duration_h) + parked
 
 
 def _stop_report(trip: Trip, ran: ReplayStop, arrive_h: float) -> StopReport:

@@ -1,5 +1,5 @@
 """Certificates: structure attacked, bounds as the certifier states them, and a text that names
-every map, every term and every verdict within 100 columns."""
+every map, every term and every verdict within 80 columns."""
 
 from __future__ import annotations
 
@@ -48,7 +48,10 @@ def test_the_certificate_states_what_bound_and_simulation_state(certificate: Cer
     assert trajectory.violation.max() == 0.0
     assert certificate.bound.value <= trajectory.cost
     assert certificate.violation < 1e-6
-    assert certificate.subset == (0,) and certificate.vehicle == "small car"
+    assert certificate.subset == (0,) and len(certificate.stops) == 1
+    place = small_trip().chargers[0].position_km
+    assert f"stops: charger at {place:.0f} km" in str(certificate)  # its name is not known
+    assert certificate.vehicle == "small car"
 
 
 def test_structure_of_the_assembled_program(certificate: Certificate) -> None:
@@ -80,7 +83,7 @@ def test_cvxpy_is_not_imported_unless_asked_for() -> None:
 
 def test_the_text_names_every_map_term_and_verdict(certificate: Certificate) -> None:
     text = str(certificate)
-    assert max(len(line) for line in text.splitlines()) <= 100
+    assert max(len(line) for line in text.splitlines()) <= 80
     for t in certificate.tightness:
         assert f"{t.label} {t.term}" in text
     for v in certificate.curvature:
@@ -103,10 +106,13 @@ def test_the_text_names_every_map_term_and_verdict(certificate: Certificate) -> 
 
 @pytest.mark.parametrize("trip", ["goteborg-stockholm-winter", "goteborg-stockholm-summer"])
 def test_shipped_trips(trip: str) -> None:
-    found = make_certificate(make_instance(load_trip(trip), (2, 5)))
+    chargers = [c.name for c in load_trip(trip).chargers]
+    found = make_certificate(make_instance(load_trip(trip), (2, 5)), names=chargers)
+    vehicle = load_trip(trip).vehicle.name
+    assert str(found).splitlines()[0] == f"Certificate: {vehicle}; stops: Granna, Linkoping"
     assert isinstance(found.bound, LowerBound)
     assert found.structure is not None and found.structure.convex
-    assert max(len(line) for line in str(found).splitlines()) <= 100
+    assert max(len(line) for line in str(found).splitlines()) <= 80
 
 
 def test_the_worth_of_heat_is_counted() -> None:
@@ -114,7 +120,7 @@ def test_the_worth_of_heat_is_counted() -> None:
     assert cold.worth is not None
     steps = int((cold.worth.drive_heat > cold.worth.drive_electricity).sum())
     assert 0 < steps < 100
-    assert f"{steps} of 100 driving steps" in str(cold)
+    assert f"{steps} of 100 driving steps" in " ".join(str(cold).split())
     warm = make_certificate(make_instance(small_trip(ambient_c=27.0, start_soc=0.4), (0,)))
     assert "in 0 of " in str(warm)
 
@@ -202,7 +208,7 @@ def test_structure_attacked(program: ConeProgram, flaw: str) -> None:
 
 def test_structure_of_a_program_without_names_says_so() -> None:
     program = make_cone_program([1.0], [[-1.0]], [-2.0], n_nonneg=1, l=[0.0], u=[9.0])
-    assert check_structure(program).flaws == ("1 rows have no name or several",)
+    assert check_structure(program).flaws == ("1 row has no name or several",)
     named = replace(program, rows={"least": np.array([0])})
     assert check_structure(named).convex and check_structure(named).cones == ()
 

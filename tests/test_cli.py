@@ -16,7 +16,7 @@ from trips import write_trip
 
 import enumerate.audit  # noqa: F401 - one test replaces a name in it
 import relax
-from enumerate import cli_options, cli_output, evidence_file, explore, load_proofs, search
+from enumerate import cli_options, display, evidence_file, explore, load_proofs, search
 from enumerate import plan as plan_trip
 from enumerate.cli import main
 from enumerate.evidence_file import save_evidence
@@ -220,9 +220,9 @@ def test_too_many_chargers_are_bad_input(trip: Path, monkeypatch: pytest.MonkeyP
 
 
 def test_progress_goes_to_stderr_only_where_wanted(trip: Path) -> None:
-    with cli_output.show_progress(quiet=True) as report:
+    with display.show_progress(quiet=True) as report:
         assert report is None
-    with cli_output.show_progress(quiet=False) as report:
+    with display.show_progress(quiet=False) as report:
         assert report is not None
         for phase in ("relax", "refine"):
             report(search.Progress(phase, 1, 2, 3.0, 2.0))

@@ -92,6 +92,31 @@ def test_case_has_a_labelled_column_per_stop(report: PlanReport, trip: Trip) -> 
     np.testing.assert_allclose(heat, demand.mean(), rtol=1e-6)  # the cabin stays warm
 
 
+@pytest.mark.parametrize(
+    ("ambient_c", "panels"),
+    [(-5.0, {"cabin heat"}), (20.0, set()), (30.0, {"cabin cooling"})],
+)
+def test_of_the_cabin_only_what_the_weather_asks_for_is_drawn(
+    ambient_c: float, panels: set[str]
+) -> None:
+    hot = small_trip(ambient_c=ambient_c, start_soc=0.45)
+    found = plan(hot).plan
+    assert found is not None and found.charge
+    figure = plot_case(found, hot)
+    columns = 1 + len(found.charge)
+    grid = np.array(figure.axes).reshape(-1, columns)
+    names = {ax.get_ylabel().removesuffix(" [kW]") for ax in grid[:, 0]}
+    assert names & {"cabin heat", "cabin cooling"} == panels
+    for panel in grid[3:-1]:
+        for ax in panel:
+            drawn = [p.get_data().values for p in ax.patches if hasattr(p, "get_data")]
+            assert max(float(np.max(values)) for values in drawn) > 0.0, "no empty panel"
+    if "cabin cooling" in panels:
+        power = hot.vehicle.cabin_cooling_kw.at(ambient_c)
+        for ax in grid[3]:
+            np.testing.assert_allclose(steps(ax, "cabin cooling")[1], power)
+
+
 def test_legends_and_titles_do_not_overlap(report: PlanReport, trip: Trip) -> None:
     figure = plot_case(report, trip)
     canvas = FigureCanvasAgg(figure)

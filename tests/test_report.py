@@ -43,7 +43,23 @@ def test_sums_are_those_of_the_drive(name: str) -> None:
     soc = float(trip.vehicle.pack.soc(driven.final_energy_kwh))
     assert report.final_soc == soc >= trip.end_soc_min - 1e-6
     assert report.final_temperature_c == driven.final_temperature_c
-    assert report.totals_kwh == driven.totals_kwh
+    totals = dict(report.totals_kwh)
+    cooling = totals.pop("cabin_cooling")
+    assert totals == driven.totals_kwh
+    assert 0.0 <= cooling < totals["propulsion_and_auxiliaries"]
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_cabin_cooling_is_what_propulsion_and_auxiliaries_leave(name: str) -> None:
+    trip, _, done, report = CASES[name]
+    assert done.replay is not None
+    hours = report.driving_h + sum(s.dwell_h for s in done.replay.stops)
+    propulsion = float(trip.route.propulsion_kw @ trip.route.duration_h)
+    rest = report.totals_kwh["propulsion_and_auxiliaries"] - propulsion
+    rest -= trip.vehicle.auxiliary_kw * hours
+    cooling = report.totals_kwh["cabin_cooling"]
+    assert cooling == pytest.approx(rest, abs=1e-6)
+    assert (cooling > 0.0) == (name == "summer")
 
 
 @pytest.mark.parametrize("name", CASES)
