@@ -105,10 +105,10 @@ class Account:
             )
         self._number += 1
 
-    def take(self, most: int, cutoff: float) -> list[Leaf]:
+    def take(self, most: int, cutoff: float, families: bool = False) -> list[Leaf]:
         """Remove and return open leaves with bounds below the cutoff, least first.
 
-        Without a cutoff (``inf``) only families are taken: their relaxations suggest stops.
+        Only ``families`` if asked for: their relaxations suggest stops.
         """
         out: list[Leaf] = []
         aside = []
@@ -116,7 +116,7 @@ class Account:
             return out
         while self._open and len(out) < most and self._open[0][0] < cutoff:
             entry = heapq.heappop(self._open)
-            if cutoff == inf and not entry[2].undecided:
+            if families and not entry[2].undecided:
                 aside.append(entry)
             else:
                 out.append(entry[2])

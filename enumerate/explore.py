@@ -65,6 +65,8 @@ STAGE_NEAR = 0.03
 """Share of the cost that is missing when paths of stages begin to be planned."""
 LEAF_STARTS = 2
 """Starts that a proof may add for one subset."""
+FIRST_STARTS = 8
+"""The same as long as there is no plan."""
 SAME = 1e-4
 """Relative rise of a plan's cost by repairs that reopens what was closed against it."""
 OPENING = 12
@@ -180,7 +182,7 @@ class Search:
         """Bound every subset, or families of them; plan a promising one as soon as it is known."""
         if not self.single:
             for k in range(MAX_OPENING // BATCH):
-                if self.interrupted or not self._examine_batch(inf, BATCH):
+                if self.interrupted or not self._examine_batch(inf, BATCH, families=True):
                     break
                 if k + 1 >= OPENING // BATCH:
                     self._plan_new([*self.account.suggestions(), *self.account.decided()])
@@ -239,10 +241,11 @@ class Search:
         self.run(refine_node, nodes, "refine")
 
     def prove(self, gap: float) -> None:
-        """Cut and bound whatever could be cheaper than the driven plan by more than the gap."""
-        if self.execution is None:
-            return
-        if self.by_stages:
+        """Cut and bound whatever could be cheaper than the driven plan by more than the gap.
+
+        Without a plan, whatever is not infeasible: what is left of it tells where to start again.
+        """
+        if self.execution is not None and self.by_stages:
             self._prove_by_stages(gap)
         if self.single:
             self.account.plant(
@@ -250,8 +253,9 @@ class Search:
                 for s, n in self.nodes.items()
                 if n.row.outcome is not Outcome.INFEASIBLE
             )
-        while not self.interrupted and self.execution is not None:
-            examined = self._examine_batch(self._cutoff(gap), PROOF_BATCH)
+        while not self.interrupted:
+            cutoff = inf if self.execution is None else self._cutoff(gap)
+            examined = self._examine_batch(cutoff, PROOF_BATCH)
             if not examined:
                 return
             self._plan_leaves([e for e in examined if not e.leaf.undecided and not e.closed])
@@ -297,7 +301,8 @@ class Search:
         again = []
         for done in left:
             node = self.nodes.get(done.leaf.subset)  # none if time is up
-            if node is None or done.point is None or node.starts >= LEAF_STARTS:
+            most = FIRST_STARTS if self.execution is None else LEAF_STARTS
+            if node is None or done.point is None or node.starts >= most:
                 continue
             # a subset without a plan may have one that other starts missed
             if node.row.outcome is Outcome.UNPROVED or is_close(node.row.cost, self.cost):
@@ -306,16 +311,16 @@ class Search:
                 again.append(node)
         self.run(refine_point, again, "further starts")
 
-    def _examine_batch(self, cutoff: float, most: int) -> list[Examined]:
+    def _examine_batch(self, cutoff: float, most: int, families: bool = False) -> list[Examined]:
         """Examine the open leaves of least bound."""
-        leaves = self.account.take(most, cutoff)
+        leaves = self.account.take(most, cutoff, families)
         task = partial(examine_leaf, self._setting_now(), cutoff=cutoff, deadline=self.deadline)
         examined: list[Examined] = []
         try:
             for done in run_in_order(self.executor, task, leaves):
                 self.account.enter(done, cutoff)
                 examined.append(done)
-                self._tell("prove" if cutoff < inf else "relax", *self.account.progress)
+                self._tell("relax" if families else "prove", *self.account.progress)
         finally:  # an interrupt loses no leaf
             self.account.put_back(leaves[len(examined) :])
         self._look_at_clock()

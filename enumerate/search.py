@@ -53,8 +53,9 @@ def plan(
         From ``load_trip``.
     gap : float, optional
         Relative gap to prove: boxes of every subset that could be better are tightened
-        and split until no plan can be cheaper by more than this. Without it only the
-        root bounds are computed, which is fast, and the gap is whatever they give.
+        and split until no plan can be cheaper by more than this; without a plan, until
+        one is found or none is left possible. Without a gap only the root bounds are
+        computed, which is fast, and the gap is whatever they give.
     time_limit_s : float, optional
         Wall-clock limit; the best plan and bound at that moment are returned [s].
     workers : int

@@ -11,6 +11,7 @@ from itertools import pairwise
 import pytest
 from trips import small_trip
 
+from benchmarks.random_trips import random_trip
 from enumerate import Outcome, Progress, Result, Status, plan
 from enumerate.show import format_result
 from relax import load_trip
@@ -96,6 +97,15 @@ def test_a_gap_below_the_error_of_the_grid_is_not_called_proved() -> None:
     assert "finer grid" in " ".join(format_result(result).split())
     fine = load_trip(name)
     assert plan(replace(fine, chargers=fine.chargers[chosen]), gap=0.003).status is Status.OPTIMAL
+
+
+def test_with_a_gap_asked_for_the_search_goes_on_without_a_plan() -> None:
+    """What is left of boxes after cutting tells where to start; roots alone led nowhere here."""
+    trip = random_trip(122)
+    assert plan(trip).status is Status.UNKNOWN
+    found = plan(trip, gap=0.5)
+    assert found.status is Status.OPTIMAL and found.gap <= 0.5
+    assert found.ledger.counts()["total"] == 32
 
 
 def test_no_time_at_all_still_gives_a_valid_answer() -> None:
