@@ -80,7 +80,12 @@ class Account:
     @property
     def progress(self) -> tuple[int, int]:
         """Leaves examined, and those plus the open ones."""
-        return self._examined, self._examined + len(self._open)
+        return self._examined, self._examined + self.n_open
+
+    @property
+    def n_open(self) -> int:
+        """Leaves to be examined."""
+        return len(self._open)
 
     def plant(self, leaves: Iterable[Leaf]) -> None:
         """Add leaves that cover their families from the start."""

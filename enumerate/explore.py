@@ -57,8 +57,8 @@ BATCH = 4
 """Subsets handled before the best plan is updated; fixed, so that any number of workers closes
 the same ones."""
 PROOF_BATCH = 16
-"""The same for leaves of a proof: nearly all have to be closed anyway, and leaves take very
-different times, so that of a few one worker would wait for the other."""
+"""The same for leaves of a proof at most, of four times as many: nearly all have to be closed
+anyway, and of a few, which take very different times, one worker would wait for the other."""
 PATHS_EVERY = 8
 """Paths of stages of which one is planned: most change little."""
 STAGE_NEAR = 0.03
@@ -255,7 +255,8 @@ class Search:
             )
         while not self.interrupted:
             cutoff = inf if self.execution is None else self._cutoff(gap)
-            examined = self._examine_batch(cutoff, PROOF_BATCH)
+            most = min(max(self.account.n_open // 4, BATCH), PROOF_BATCH)
+            examined = self._examine_batch(cutoff, most)
             if not examined:
                 return
             self._plan_leaves([e for e in examined if not e.leaf.undecided and not e.closed])
