@@ -122,7 +122,14 @@ def diagnose(trip: Trip, drive: Drive) -> Diagnosis:
             soc = float(pack.soc(wanted))
             remedies.append(f"start.soc of about {np.ceil(soc * 100) / 100:.2f}")
     if not end_only or instance.stops:
-        remedies.append(f"a charger between {last:.0f} km and {reach:.0f} km")
+        wanted = float(least[node]) + (goal.detour_in_kwh if goal else 0.0)
+        left = instance.energy_max_kwh - (energy - energy[node])  # there, charged full on the way
+        near = (drive.node_km >= last) & (drive.node_km <= reach) & (left >= wanted)
+        if near.any():
+            first = max(last, float(drive.node_km[int(np.argmax(near))]))
+            remedies.append(f"a charger between {np.ceil(first):.0f} km and {reach:.0f} km")
+        else:
+            remedies.append(f"several chargers between {last:.0f} km and {target_km:.0f} km")
     return Diagnosis(reach, missing, reason, tuple(remedies))
 
 

@@ -10,7 +10,7 @@ import pytest
 from test_simulate import toy_trip
 from trips import small_trip
 
-from enumerate import Diagnosis, plan
+from enumerate import Diagnosis, Status, plan
 from enumerate.diagnose import diagnose
 from relax import Table2, Trip, load_trip, make_drive
 
@@ -88,3 +88,25 @@ def test_no_time_limit_is_named_where_the_pack_is_too_weak() -> None:
     found = diagnosed(trip)
     assert found.remedies == ()
     assert found.reason.endswith("temperature, discharge power or the least energy")
+
+
+def test_a_charger_is_proposed_only_where_a_full_battery_lasts_from_there() -> None:
+    trip = load_trip("paper-400km", {"route.ambient_c": 10.0})
+    alone = replace(trip, chargers=())
+    place = re.compile(r"a charger between (\d+) km and (\d+) km")
+    found = [place.match(text) for text in diagnosed(alone).remedies]
+    first, last = (float(x) for x in next(m for m in found if m).groups())
+    assert 0.0 < first < last < trip.route.length_km
+
+    def at(km: float) -> Status:
+        spec = replace(trip.chargers[0], position_km=km, detour_in_kwh=0.0, detour_out_kwh=0.0)
+        return plan(replace(alone, chargers=(spec,))).status
+
+    for km in (first + 1.0, last - 1.0):
+        assert at(km) in (Status.FEASIBLE, Status.OPTIMAL)
+    assert at(first - 40.0) is Status.INFEASIBLE
+
+
+def test_where_one_charger_is_not_enough_several_are_proposed() -> None:
+    far = replace(load_trip("long-1000km-winter"), chargers=())
+    assert diagnosed(far).remedies == ("several chargers between 0 km and 1000 km",)
