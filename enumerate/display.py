@@ -82,7 +82,8 @@ def show_progress(quiet: bool) -> Iterator[Callable[[Progress], None] | None]:
     with tqdm(bar_format="{desc}, {elapsed}", **_manner()) as line:
 
         def tell(progress: Progress) -> None:
-            text = progress_line(progress)[: line.ncols - CLOCK]  # a terminal may be narrow
+            room = (line.ncols or WIDTH) - CLOCK  # a terminal may be narrow
+            text = progress_line(progress)[:room]
             line.set_description_str(text, refresh=False)
             line.update()
 
