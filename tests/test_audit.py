@@ -20,7 +20,7 @@ from enumerate.audit import audit_evidence
 from enumerate.evidence import Evidence
 from enumerate.evidence_file import load_proofs, save_evidence
 from enumerate.ledger import Outcome
-from relax import InputError
+from relax import InputError, load_trip
 
 TRIP = SIX
 
@@ -82,6 +82,18 @@ def test_an_infeasible_trip_is_confirmed_infeasible(tmp_path: Path) -> None:
     found = audit(tmp_path / "none", trip)
     assert found.holds and found.lower_bound == inf and found.cost == inf
     assert "there is no plan: proved" in str(found)
+
+
+def test_an_infeasibility_that_takes_cuts_is_confirmed(tmp_path: Path) -> None:
+    """Just beyond what can be had at the end: no root excludes it, parts of its box do."""
+    trip = load_trip("paper-400km")
+    trip = dataclasses.replace(trip, chargers=trip.chargers[1:2], end_soc_min=0.4687)
+    assert plan(trip).status is Status.UNKNOWN
+    result = plan(trip, gap=0.05, keep_proofs=True)
+    assert result.status is Status.INFEASIBLE and len(result.proofs) > 2
+    save_proofs(tmp_path / "file", trip, result)
+    found = audit(tmp_path / "file", trip)
+    assert found.holds and found.lower_bound == inf
 
 
 def test_no_solver_is_loaded(file: Path) -> None:
