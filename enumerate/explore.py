@@ -5,8 +5,8 @@ those whose bound is below the best plan are refined, most promising first. With
 families of subsets are relaxed together, and what their optima use is refined, with
 its neighbours. The best plan is driven on the continuous model; families and subsets
 that could be better are cut and bounded until the gap is proved. Work is done in
-batches of fixed size, so the result does not depend on the number of workers. Knows
-no solver.
+batches whose size does not depend on the number of workers, so neither does the result.
+Knows no solver.
 """
 
 from __future__ import annotations
@@ -50,15 +50,16 @@ took a third of the time of a plan and gained 0.001 %."""
 STAGES_STOPS = 3
 """All plans are bounded together, stage by stage, if the best has this many stops: cutting a
 subset multiplies over its stops. With 20 or 24 chargers and one stop, stages gained nothing in
-30 s and took ten times the memory."""
+30 s and took four times the memory of families (``benchmarks.scale``)."""
 MOST_PATHS = 4
 """Subsets planned because a path of stages used them."""
 BATCH = 4
 """Subsets handled before the best plan is updated; fixed, so that any number of workers closes
 the same ones."""
 PROOF_BATCH = 16
-"""The same for leaves of a proof at most, of four times as many: nearly all have to be closed
-anyway, and of a few, which take very different times, one worker would wait for the other."""
+"""Leaves of a proof examined at once are a quarter of the open ones, between ``BATCH`` and this:
+nearly all have to be closed anyway, and leaves take very different times, so that of a few one
+worker would wait for the other."""
 PATHS_EVERY = 8
 """Paths of stages of which one is planned: most change little."""
 STAGE_NEAR = 0.03
