@@ -21,6 +21,8 @@ __all__ = ["EDGE_K", "EDGE_KWH", "ExactCar", "discharge_power"]
 
 MANAGED_K = 0.2
 """Band below a limit in which heater or cooling is taken back to zero [K]."""
+MANAGED_KWH = 0.02
+"""Band below the largest energy in which recuperation is taken back to zero [kWh]."""
 EDGE_K = 5.0
 """How far beyond its tables a car at the edge is driven: a plan that misses a limit by more
 is not one that a repair would bring back [K]."""
@@ -116,6 +118,15 @@ class ExactCar:
         if cooling > 0.0 and temp < self.floor + MANAGED_K:
             cooling *= max((temp - self.floor) / MANAGED_K, 0.0)
         return heater, cooling
+
+    def accepted(self, power: float, room: float) -> float:
+        """Return the internal power that a battery with so much room left takes [kW].
+
+        Recuperation is taken back in proportion, to zero where the battery is full.
+        """
+        if power < 0.0 and room < MANAGED_KWH:
+            power *= max(room / MANAGED_KWH, 0.0)
+        return power
 
     def heating(
         self, temp: float, demand: float, heater_set: float, pump_set: float

@@ -18,12 +18,14 @@ from relax.instance import MIN_CHARGE_KWH, Instance
 from relax.intervals import EMPTY_MARGIN, Interval, range1, range2
 from relax.physics import battery_power, heat_pump_power
 
-__all__ = ["COOLING_SLACK_K", "make_box", "propagate", "pump_limits"]
+__all__ = ["COOLING_SLACK_K", "filling_steps", "make_box", "propagate", "pump_limits"]
 
 Array = npt.NDArray[np.float64]
 
 COOLING_SLACK_K = 0.01
 """How far below its temperature cooling may take a step: the simulation's own tolerance [K]."""
+FULL_SLACK_KWH = 1e-6
+"""How far below the largest energy a battery counts as full: more than rounding [kWh]."""
 ROUNDS = 3
 """Sweeps of ``make_box``; a fourth changes the bound by less than 0.01 % on the paper trip."""
 
@@ -65,6 +67,20 @@ def _least(start: Array, cap: Array, used: Array) -> Array:
     return np.asarray(np.minimum.accumulate(out, axis=1) - total)
 
 
+def filling_steps(instance: Instance, box: Box) -> npt.NDArray[np.bool_]:
+    """Return the steps that may end with a full battery, which refuses recuperation, shape (n,).
+
+    Parameters
+    ----------
+    instance : Instance
+        Subset and grid.
+    box : Box
+        A valid box.
+    """
+    full = box.energy.hi[1:] >= instance.ceiling_kwh - FULL_SLACK_KWH
+    return np.asarray(full & (instance.drive.base_kw < 0.0))
+
+
 def _drive_flow(instance: Instance, box: Box) -> tuple[Interval, Interval]:
     """Intervals of battery power and of pack heat before cooling."""
     drive, vehicle, pack = instance.drive, instance.vehicle, instance.vehicle.pack
@@ -81,8 +97,10 @@ def _drive_flow(instance: Instance, box: Box) -> tuple[Interval, Interval]:
     in_range = range2(pack.charge_limit_kw, energy, temp)
     lo = _power(load_lo, r.lo, ripple)
     hi = np.where(2.0 * r.hi * out_hi < 1.0, _power(load_hi, r.hi, ripple), out_hi)
-    # when the charge limit refuses power, the brake takes it and P is minus the limit
+    # when the charge limit refuses power, the brake takes it and P is minus the limit; a
+    # battery that is full in the end takes what is left of it, at least 0
     hi = np.where(lo < -in_range.lo, np.maximum(hi, -in_range.lo), hi)
+    hi = np.where(filling_steps(instance, box), np.maximum(hi, 0.0), hi)
     start = box.start_energy
     power = (
         box.power.meet(np.maximum(lo, -in_range.hi), np.minimum(hi, out_hi))

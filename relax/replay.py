@@ -202,19 +202,21 @@ class _Driver:
         base = float(route.propulsion_kw[j]) + vehicle.auxiliary_kw + brake
         base += vehicle.cabin_cooling_kw.at(ambient)
         heater_set, cooling_set, pump_set = setting
+        ceiling = self.instance.ceiling_kwh
 
         def rates(car: ExactCar, y: list[float]) -> list[float]:
             energy, temp = y[0], y[1]
             heater, pump, heat, cabin = car.heating(temp, demand, heater_set, pump_set)
             r = car.resistance(temp) / car.voltage_squared(energy)
             heater, cooling = car.managed(temp, heater, cooling_set)
-            power = discharge_power(base + heater + cooling + pump + cabin, r)
-            return car.rates(
-                power, r, (base, heater, cooling, pump, heat, cabin), climate, 0.0, temp
-            )
+            load = base + heater + cooling + pump + cabin
+            wanted = discharge_power(load, r)
+            power = car.accepted(wanted, ceiling - energy)
+            refused = power - r * power * power - load if power > wanted else 0.0
+            use = (base + refused, heater, cooling, pump, heat, cabin)
+            return [*car.rates(power, r, use, climate, 0.0, temp)[:BRAKE], brake + refused]
 
         self.integrate(rates, hours)
-        self.state[BRAKE] += brake * hours
 
     def charge(self, stop: Stop, setting: StopControls, target_kwh: float, km: float) -> ReplayStop:
         """Charge to the planned energy; the independent variable is the internal energy."""

@@ -86,6 +86,7 @@ class Car:
         self.charge_limit = pack.charge_limit_kw.clamped()
         self.discharge_limit = pack.discharge_limit_kw.clamped()
         self.capacity = pack.heat_capacity_kwh_per_k
+        self.ceiling = instance.ceiling_kwh
         self.heater_kw = vehicle.heater_kw
         self.heater_eff = vehicle.heater_battery_efficiency
         self.cabin_eff = vehicle.heater_cabin_efficiency
@@ -154,7 +155,8 @@ def drive_step(
     """Advance one driving step.
 
     The heater is cut back where it would heat beyond ``cap``, cooling where it would
-    cool below the temperature from which it works.
+    cool below the temperature from which it works, recuperation where it would charge
+    faster than the battery allows or beyond its largest energy.
 
     Returns end temperature, power, loss, brake, heater, pump, pump heat, cabin heater,
     cooling and the excess over the discharge limit.
@@ -165,6 +167,7 @@ def drive_step(
     resistance, voltage_squared = car.resistance, car.voltage_squared
     rise, extra, slope = guess
     power, moved = base + extra, 0.0
+    filling = -max(car.ceiling - energy, 0.0) / d  # ends the step with a full battery
     out: StepResult = (0.0,) * 10
 
     def phi(end: float) -> float:
@@ -193,10 +196,14 @@ def drive_step(
         root = 1.0 - 4.0 * r * total
         power = 2.0 * total / (1.0 + sqrt(root)) if root > 0.0 else 2.0 * total
         brake = 0.0
-        if power < 0.0 and power < -car.charge_limit(energy - half_d * power, mid):
-            power = _refused(car, energy, half_d, mid, power)
-            r = resistance(mid) / voltage_squared(energy - half_d * power)
-            brake = max(power - r * (power * power + ripple) - load, 0.0)
+        if power < 0.0:
+            taken = max(power, filling)
+            if taken < -car.charge_limit(energy - half_d * taken, mid):
+                taken = _refused(car, energy, half_d, mid, taken)
+            if taken > power:
+                power = taken
+                r = resistance(mid) / voltage_squared(energy - half_d * power)
+                brake = max(power - r * (power * power + ripple) - load, 0.0)
         moved = abs(power - before)
         loss = r * (power * power + ripple)
         result = temp + scale * (flow + loss + heater_eff * heater)

@@ -153,8 +153,10 @@ class _Point:
         heat = self.pump_heat(self.value("pump"), middle)
         taken = _at2(pack.charge_limit_kw, energy, middle)
         given = _at2(pack.discharge_limit_kw, energy, middle)
-        # the car brakes only where the battery takes no more
+        # the car brakes only where the battery takes no more: too fast, or full
+        room = np.maximum(instance.ceiling_kwh - self.value("energy")[1:], 0.0) / d
         brake = np.minimum(self.value("brake"), np.maximum(power + taken, 0.0))
+        brake = np.minimum(brake, room)
         gaps = (
             ("Joule loss, driving", "(R6)", d * (self.value("loss") - loss)),
             ("heat-pump heat, driving", "(R4)", d * (self.value("pump_heat") - heat)),

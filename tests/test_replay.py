@@ -27,7 +27,7 @@ from relax import (
     replay,
     simulate,
 )
-from relax.exact import ExactCar
+from relax.exact import MANAGED_KWH, ExactCar
 from relax.refinement import complete
 from relax.replay import Violation, _Driver
 from relax.simulate import Simulation
@@ -411,18 +411,34 @@ def test_refused_recuperation_is_counted_and_not_charged() -> None:
     assert driven.totals_kwh["refused_recuperation"] == pytest.approx(refused, rel=0.05)
 
 
-def test_a_battery_overfilled_by_recuperation_is_noticed() -> None:
-    """Downhill with a full battery: its charge limit still allows more than ``soc_max`` does."""
-    trip, subset = ROADS["downhill"]
-    instance = make_instance(trip, subset)
+@pytest.mark.parametrize("step_km", [2.0, 10.0])
+@pytest.mark.parametrize("soc_max", [0.9, 0.92])
+def test_a_full_battery_refuses_recuperation(soc_max: float, step_km: float) -> None:
+    """Downhill with a battery that is full, or nearly: its charge limit alone would allow more."""
+    trip = downhill_trip(ambient_c=0.0, soc_max=soc_max, grid__step_km=step_km)
+    instance = make_instance(trip, (1,))
     controls = idle_controls(instance, (2.0,))
     planned, driven = simulate(instance, controls), drive(trip, instance, controls)
-    assert planned.violation[0] > 0.5
-    above = driven.energy_kwh.max() - instance.energy_max_kwh
-    assert above > 0.5
-    broken = [v for v in driven.violations if v.rule == "energy above the largest allowed"]
-    assert len(broken) == 1
-    assert broken[0].amount == pytest.approx(above, abs=1e-6)
+    assert planned.energy_kwh.max() == pytest.approx(instance.energy_max_kwh, abs=1e-9)
+    full = instance.energy_max_kwh - driven.energy_kwh.max()
+    assert -1e-7 < full < MANAGED_KWH
+    assert planned.violation[0] == 0.0 and driven.violations == ()
+    free = make_instance(replace(trip, soc_max=1.0), (1,))
+    refused = [float(t.brake_kw @ i.drive.duration_h) for i, t in
+               ((instance, planned), (free, simulate(free, controls)))]  # fmt: skip
+    assert refused[0] > refused[1] + 0.3
+    near = pytest.approx(refused[0], rel=0.01 * step_km)
+    assert driven.totals_kwh["refused_recuperation"] == near
+    assert abs(driven.balance_kwh) < 1e-9 and abs(driven.heat_balance_kwh) < 1e-9
+
+
+def test_a_battery_overfilled_at_a_stop_is_noticed() -> None:
+    trip, subset = ROADS["downhill"]
+    instance = make_instance(trip, subset)
+    target = instance.energy_max_kwh + 0.5
+    driven = replay(trip, instance, idle_controls(instance, (2.0,)), (target,))
+    (broken,) = (v for v in driven.violations if v.rule == "energy above the largest allowed")
+    assert broken.amount == pytest.approx(0.5, abs=1e-6)
 
 
 # Transcription against replay on the plans that matter: refined ones.

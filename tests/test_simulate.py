@@ -57,7 +57,7 @@ def toy_trip(limit_kw: float = 50.0, **changes: Any) -> Trip:
 
 def downhill_trip(**changes: Any) -> Trip:
     """The small trip with a full battery, and 40 km of recuperation it can hardly take."""
-    trip = small_trip(start_soc=0.9, **changes)
+    trip = small_trip(start_soc=0.9, **({"soc_max": 1.0} | changes))
     power = trip.route.propulsion_kw.copy()
     power[1:4] = [-35.0, -50.0, -25.0]
     return replace(trip, route=replace(trip.route, propulsion_kw=power))
@@ -159,7 +159,8 @@ def residuals(instance: Instance, t: Trajectory) -> dict[str, float]:
     at_most("charge limit", -power, charge)
     at_most("brake", np.concatenate([-t.brake_kw, t.brake_kw + np.minimum(d.base_kw, 0.0)]), 0.0)
     refused = t.brake_kw > 1e-9
-    equal("brake only at the limit", -power[refused], charge[refused])
+    most = np.minimum(charge, np.maximum(instance.ceiling_kwh - e0, 0.0) / hours)
+    equal("brake only at the limit or full", -power[refused], most[refused])
     _actuators(at_most, v, t.heater_kw, t.cooling_kw, hp, h, ch, q)
 
     # charging
@@ -210,6 +211,8 @@ def cases() -> dict[str, Instance]:
     found["small"] = make_instance(small_trip(), (0, 1))
     found["hot"] = make_instance(small_trip(ambient_c=35.0), (0,))
     found["downhill"] = make_instance(downhill_trip(ambient_c=10.0), (1,))
+    full = downhill_trip(ambient_c=10.0, soc_max=0.92)
+    found["full downhill"] = make_instance(full, (1,))
     found["cold downhill"] = make_instance(downhill_trip(ambient_c=-15.0), (0, 1))
     found["coarse"] = make_instance(downhill_trip(ambient_c=5.0, grid__step_km=20.0), (0,))
     return found
@@ -236,6 +239,9 @@ def test_the_downhill_cases_do_brake_and_the_hot_one_does_cool() -> None:
     for name in ("downhill", "cold downhill"):
         trajectory = simulate(CASES[name], random_controls(CASES[name], rng))
         assert trajectory.brake_kw.max() > 1.0
+    full = CASES["full downhill"]
+    filled = simulate(full, idle_controls(full, (1.0,))).energy_kwh.max()
+    assert filled == pytest.approx(full.ceiling_kwh, abs=1e-9)
     hot = simulate(CASES["summer"], random_controls(CASES["summer"], rng))
     assert hot.cooling_kw.max() > 0.5
 

@@ -163,18 +163,17 @@ def _step(
     levels = _finer(tables, float(tables.drive.cabin_heat_kw[k]))
     steps = tables.car.drive(tables.drive, k, np.array([energy]), np.array([temp]), levels)
     broken = steps.broken + tables.off_mesh(steps.end_c)
-    left = energy - steps.drop_kwh - tables.along(tables.frontier[j][k + 1], steps.end_c)
+    drop = np.maximum(steps.drop_kwh, energy - tables.ceiling)  # a full battery refuses the rest
+    left = energy - drop - tables.along(tables.frontier[j][k + 1], steps.end_c)
     left = left - BROKEN_KWH * broken
     open_ = left >= -SLACK_KWH
     if tables.value[j] and np.any(open_):
-        full = np.maximum(energy - steps.drop_kwh - tables.ceiling, 0.0)
-        cost = tables.at(j, k + 1, np.maximum(left, 0.0), steps.end_c)
-        cost = cost + tables.limit_price * full - TIE_PER_KWH * left
+        cost = tables.at(j, k + 1, np.maximum(left, 0.0), steps.end_c) - TIE_PER_KWH * left
         best = int(np.argmin(np.where(open_, cost + tables.limit_price * broken, inf)))
     else:  # all that is left to do is to save energy
         best = int(np.argmax(left))
     powers = np.array([steps.heater_kw[best], steps.cooling_kw[best], steps.pump_kw[best]])
-    return energy - float(steps.drop_kwh[best]), float(steps.end_c[best]), powers
+    return energy - float(drop[best]), float(steps.end_c[best]), powers
 
 
 def _stop(

@@ -198,9 +198,9 @@ def _step_back(tables: ValueTables, j: int, k: int, coarse: Array, packed: Array
     for first in range(0, rows, chunk):
         energy = least + tables.surplus_kwh[first : first + chunk, None]
         drop, end, broken = _read(packed, coarse, energy, np.broadcast_to(column, energy.shape))
+        drop = np.maximum(drop, energy[..., None] - tables.ceiling)  # full: it refuses the rest
         left = energy[..., None] - drop - tables.along(frontier, end)
-        full = np.maximum(energy[..., None] - drop - tables.ceiling, 0.0)
-        cost = tables.blend(value, tables.row(left), end) + tables.limit_price * (broken + full)
+        cost = tables.blend(value, tables.row(left), end) + tables.limit_price * broken
         open_ = left >= -SURPLUS_TOLERANCE_KWH
         table[first : first + chunk] = np.where(open_, cost, BIG).min(axis=-1)
     tables.value[j].append(table)
