@@ -247,7 +247,7 @@ def make_report(trip: Trip, instance: Instance, done: Execution) -> PlanReport:
         arrive = float(clock[stop.node]) + waited + spec.detour_in_h
         reports.append(_stop_report(trip, ran, arrive))
         waited += ran.dwell_h + spec.detour_h
-    final = float(pack.soc(max(driven.final_energy_kwh, 0.0)))
+    final = float(pack.soc(driven.final_energy_kwh))
     return PlanReport(
         stops=tuple(reports),
         grid_kwh=sum(s.grid_kwh for s in reports),
@@ -338,7 +338,7 @@ def _charge_trace(trip: Trip, plan: StopTrajectory, ran: ReplayStop) -> ChargeTr
 
 def _deviation(instance: Instance, plan: Trajectory, driven: Replay) -> Deviation:
     pack = instance.vehicle.pack
-    soc = pack.soc(np.maximum(plan.energy_kwh, 0.0)) - pack.soc(driven.node_energy_kwh)
+    soc = pack.soc(plan.energy_kwh) - pack.soc(driven.node_energy_kwh)
     return Deviation(
         cost=driven.cost / plan.cost - 1.0 if plan.cost else 0.0,
         soc=float(np.abs(soc).max()),

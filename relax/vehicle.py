@@ -20,6 +20,10 @@ __all__ = ["Pack", "RoadLoad", "Vehicle"]
 Array = npt.NDArray[np.float64]
 
 
+ROUNDING_KWH = 1e-4
+"""Energy beyond a table that is rounding of a drive: its limits are met to less [kWh]."""
+
+
 @dataclass(frozen=True)
 class Pack:
     """Battery pack: open-circuit voltage, resistance, power limits, lumped heat capacity.
@@ -72,10 +76,14 @@ class Pack:
         return self._node_energy[i] + part * (self.capacity_ah / 1000.0)
 
     def soc(self, energy_kwh: npt.ArrayLike) -> Array:
-        """Return the state of charge at an internal energy: the inverse of (E1)."""
-        energy = np.asarray(energy_kwh, dtype=np.float64)
+        """Return the state of charge at an internal energy: the inverse of (E1).
+
+        A drive may end an empty or a full battery beyond the table by rounding.
+        """
+        energy, nodes = np.asarray(energy_kwh, dtype=np.float64), self._node_energy
+        inside = np.clip(energy, nodes[0], nodes[-1])
+        energy = np.where(np.abs(energy - inside) <= ROUNDING_KWH, inside, energy)
         volt = np.sqrt(1000.0 * self.voltage_squared(energy))
-        nodes = self._node_energy
         i = np.clip(np.searchsorted(nodes, energy, side="right") - 1, 0, nodes.size - 2)
         charge = 2.0 * (energy - nodes[i]) / (volt + self.ocv_v.f[i])
         return self.ocv_v.x[i] + charge * (1000.0 / self.capacity_ah)
