@@ -15,8 +15,9 @@ from relax.driven import Replay
 from relax.errors import DomainError
 from relax.instance import Instance
 from relax.plan import Controls, Trajectory
-from relax.refinement import Refined, RefineSettings, refine
+from relax.refinement import Refined, RefineSettings, is_feasible, refine
 from relax.replay import RULE_STOP_TIME, replay
+from relax.simulate import simulate
 
 if TYPE_CHECKING:
     from relax.trip import Trip
@@ -27,9 +28,12 @@ TARGET_TOLERANCE_KWH = 5e-6
 """How exactly the driven trip ends at its least energy [kWh]."""
 MAX_DRIVES = 8
 """Bound on the replays that move the charging targets; 2 or 3 are usual."""
-REPAIR_MARGINS = (1.05, 1.5, 1.5)
+REPAIR_MARGINS = (1.05, 1.5, 1.5, 2.0, 3.0)
 """Each refinement inside tightened limits moves them by this multiple of what was missed. The
-first is nearly exact: 1.5 cost a plan at the limit of its temperature 0.3 % more."""
+first is nearly exact: 1.5 cost a plan at the limit of its temperature 0.3 % more. What peaks
+within a step follows its nodes by less than they are moved: each repair may leave a fifth."""
+REPAIRED = 0.98
+"""A repair that leaves more than this share of everything that was missed is the last."""
 
 
 @dataclass(frozen=True)
@@ -145,11 +149,17 @@ def execute(
     ('', True)
     """
     inner = instance
+    missed: dict[str, float] = {}
     driven: Replay | None = None
     targets: tuple[float, ...] = ()
     reason = "it violates a limit already on the grid"
     for margin in (*REPAIR_MARGINS, None):
-        if not refined.feasible:
+        trajectory, holds = refined.trajectory, refined.feasible
+        if not holds and inner is not instance:
+            # the trip may not allow the tightened limits: what counts are its own
+            trajectory = simulate(instance, refined.controls)
+            holds = is_feasible(trajectory)
+        if not holds:
             break
         try:
             targets, driven = _drive(trip, instance, refined)
@@ -157,8 +167,11 @@ def execute(
             driven, reason = None, f"the car cannot drive it: {error}"
             break
         if driven.feasible:
-            return Execution(refined.controls, targets, refined.trajectory, driven, "")
+            return Execution(refined.controls, targets, trajectory, driven, "")
         reason = "; ".join(str(v) for v in driven.violations)
+        before, missed = missed, {v.rule: v.amount for v in driven.violations}
+        if before and all(missed.get(r, 0.0) > REPAIRED * most for r, most in before.items()):
+            break
         if margin is not None:
             inner = _tightened(inner, driven, margin)
             refined = refine(inner, refined.controls, settings)

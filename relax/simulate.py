@@ -220,13 +220,16 @@ class Simulation:
         instance = self.instance
         arrive, begin = np.array(walk.arrival), np.array(walk.start)
         table = np.array(list(chain.from_iterable(walk.rows))).reshape(len(walk.rows), -1)
-        peak = max([arrive[:, 1].max(), *(s.temperature_c.max() for s in walk.stops)])
-        low = min([arrive[:, 1].min(), *(s.temperature_c.min() for s in walk.stops)])
+        pack = instance.vehicle.pack
+        passed = np.concatenate([arrive[1:, 1], *(s.temperature_c[1:] for s in walk.stops)])
+        # a repair tightens the instance's limits, which the given start need not meet
+        hot = max(passed.max() - instance.temperature_max_c, arrive[0, 1] - pack.temperature_max_c)
+        cold = max(instance.temperature_min_c - passed.min(), pack.temperature_min_c - arrive[0, 1])
         stopped = sum(float(s.dwell_h.sum()) for s in walk.stops)
         violation = np.array(
             [
                 max(walk.short, float(arrive[:, 0].max()) - instance.ceiling_kwh),
-                max(peak - instance.temperature_max_c, instance.temperature_min_c - low),
+                max(hot, cold),
                 max(float(table[:, 9].max()), walk.excess_kw),
                 max(walk.excess_h, stopped - instance.total_dwell_h) if walk.stops else 0.0,
             ]

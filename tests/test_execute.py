@@ -140,6 +140,22 @@ def test_a_temperature_missed_by_a_hair_is_repaired() -> None:
     assert_holds(trip, instance, done)
 
 
+def test_a_start_beyond_the_tightened_limit_does_not_stop_a_repair() -> None:
+    """It starts 0.1 K below the limit, which its steps exceed by 0.3 K between their nodes."""
+    trip = small_trip(
+        ambient_c=32.0, pack__temperature_max_c=35.0, start_temperature_c=34.9, grid__step_km=20.0
+    )
+    instance = make_instance(trip, (0,))
+    plan = refine(instance, even_start(instance))
+    targets = tuple(float(s.energy_kwh[-1]) for s in plan.trajectory.stops)
+    (missed,) = (v for v in replay(trip, instance, plan.controls, targets).violations
+                 if v.unit == "K")  # fmt: skip
+    assert missed.amount > 0.2
+    done = execute(trip, instance, plan)
+    assert done.reason == ""
+    assert_holds(trip, instance, done)
+
+
 def test_missing_energy_is_repaired_by_the_targets_alone() -> None:
     """A coarse grid misses the end by some Wh; the charging target moves by about as much."""
     trip = paper(grid__step_km=25.0, grid__cells=3)
