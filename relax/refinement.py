@@ -390,5 +390,5 @@ def _occupancy(instance: Instance, now: Trajectory) -> float:
 
 
 def best_of(candidates: Iterable[Refined], instance: Instance) -> Refined:
-    """Return the candidate of least merit; the first of equals."""
-    return min(candidates, key=lambda c: merit(instance, c.trajectory))
+    """Return the feasible candidate of least merit, or of all if none is; the first of equals."""
+    return min(candidates, key=lambda c: (not c.feasible, merit(instance, c.trajectory)))
