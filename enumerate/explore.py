@@ -34,6 +34,7 @@ from enumerate.tasks import (
     refine_point,
     refine_splits,
     relax_node,
+    rescue_node,
 )
 from enumerate.tree import Examined, Leaf, make_roots
 from relax.execute import Execution, execute
@@ -72,6 +73,8 @@ SAME = 1e-4
 """Relative rise of a plan's cost by repairs that reopens what was closed against it."""
 OPENING = 12
 """Leaves looked at before the first plan, when there are many chargers."""
+RESCUED = 3
+"""Subsets that are planned from further starts when no plan holds."""
 MAX_OPENING = 400
 """Leaves looked at for a first plan; after that the tree is searched without one."""
 
@@ -364,6 +367,15 @@ class Search:
             self._reopen()
             if self.best is None or self.best.row.subset == subset:
                 return
+
+    def replay(self) -> None:
+        """Drive plans until one holds; if none does, plan the most promising subsets again."""
+        self.drive()
+        for node in self.open()[:RESCUED]:
+            if self.best is None and not self.interrupted:
+                self.run(rescue_node, [node], "further starts")
+        if self.best is not None and self.execution is None:
+            self.drive()
 
     def _reopen(self) -> None:
         """Look again at the subsets that were closed against a plan which has been refused."""

@@ -13,12 +13,13 @@ from enumerate.ledger import Outcome, Row
 from enumerate.subset import Subset
 from enumerate.tree import Examined, Leaf, examine
 from relax.bound import relax_subset
+from relax.execute import execute
 from relax.instance import Drive, Instance, make_instance
 from relax.plan import Controls
 from relax.proof import Step
 from relax.refinement import Refined, RefineSettings, best_of, refine
 from relax.relaxed_point import RelaxedPoint
-from relax.starts import best_start, even_start, relaxed_start, split_starts
+from relax.starts import best_start, even_start, further_starts, relaxed_start, split_starts
 from relax.trip import Grid, Trip
 
 __all__ = [
@@ -29,6 +30,7 @@ __all__ = [
     "refine_point",
     "refine_splits",
     "relax_node",
+    "rescue_node",
 ]
 
 
@@ -136,6 +138,23 @@ def refine_splits(setting: Setting, node: Node) -> Node:
     assert node.refined is not None
     instance = setting.instance(node.row.subset)
     return refine_node(setting, node, split_starts(instance, node.refined.controls))
+
+
+def rescue_node(setting: Setting, node: Node) -> Node:
+    """Plan a subset without a plan from further starts, until one gives a plan that holds driven."""
+    begin = time.perf_counter()
+    instance = setting.instance(node.row.subset)
+    programs, row = 0, node.row
+    for start in further_starts(instance):
+        refined = refine(instance, start, setting.refine)
+        programs += refined.programs
+        if refined.feasible and not execute(setting.trip, instance, refined, setting.refine).reason:
+            row = replace(row, cost=refined.trajectory.cost, outcome=Outcome.PLANNED, reason="")
+            node = replace(node, refined=refined)
+            break
+    seconds = row.seconds + time.perf_counter() - begin
+    row = replace(row, programs=row.programs + programs, seconds=seconds)
+    return replace(node, row=row)
 
 
 def refine_point(setting: Setting, node: Node) -> Node:

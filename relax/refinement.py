@@ -45,6 +45,9 @@ LOSING = 2e-3
 """Relative tolerance for subsets that cannot reach the best plan any more."""
 HOPE = 5.0
 """Multiple of its predicted gain that a search is trusted to reach."""
+DEARER = (10.0, 100.0)
+"""Multiples of the penalties with which a search goes on that ended beyond a limit: where only
+time keeps a battery cool, a kelvin may be worth more than any energy."""
 USABLE = (SolveStatus.SOLVED, SolveStatus.INACCURATE)
 """Solver results a step may be taken from: it is judged by simulation anyway."""
 MAX_PASSES = 6
@@ -124,9 +127,9 @@ def penalty_prices(instance: Instance) -> Array:
     return price * np.array([1.0, 0.1, 0.1, hour])
 
 
-def merit(instance: Instance, trajectory: Trajectory) -> float:
-    """Return cost plus penalty of a trajectory [currency]."""
-    return trajectory.cost + float(penalty_prices(instance) @ trajectory.violation)
+def merit(instance: Instance, trajectory: Trajectory, weight: float = 1.0) -> float:
+    """Return cost plus penalty of a trajectory, its prices times a weight [currency]."""
+    return trajectory.cost + weight * float(penalty_prices(instance) @ trajectory.violation)
 
 
 def complete(
@@ -297,13 +300,38 @@ def refine(
         The best iterate; ``feasible`` says whether it keeps every limit.
     """
     settings = settings or RefineSettings()
+    found = first = _descend(instance, start, settings, 1.0)
+    for weight in DEARER:
+        left = settings.max_programs - found.programs
+        if found.feasible or left <= 0 or found.trajectory.cost >= settings.hopeless:
+            break
+        begin = start if found is first else found.controls
+        again = _descend(instance, begin, replace(settings, max_programs=left), weight)
+        found = replace(
+            again,
+            programs=found.programs + again.programs,
+            solve_s=found.solve_s + again.solve_s,
+        )
+    if not found.feasible:
+        return replace(first, programs=found.programs, solve_s=found.solve_s)
+    return found
+
+
+def _descend(
+    instance: Instance, start: Controls, settings: RefineSettings, weight: float
+) -> Refined:
+    """Improve controls until the merit with penalties times a weight gains no more."""
     simulation = Simulation(instance)
     controls, now = complete(simulation, start)
-    value = merit(instance, now)
+
+    def value_of(trajectory: Trajectory) -> float:
+        return merit(instance, trajectory, weight)
+
+    value = value_of(now)
     step = QuadraticStep(instance, Watch().extended(instance, now))
     trust = TrustRegion()
     multipliers: Array | None = None
-    penalty = penalty_prices(instance)
+    penalty = weight * penalty_prices(instance)
     programs, seconds = 0, 0.0
 
     def solve(program: StepProgram) -> QpSolution:
@@ -342,7 +370,7 @@ def refine(
                 return Refined(controls, now, is_feasible(now), programs, seconds)
             tight = _tight_arrivals(step, program, x)
             trial, then = complete(simulation, _next_controls(step, program, x, now, 1.0), tight)
-            gained = value - merit(instance, then)
+            gained = value - value_of(then)
             if gained <= 0.05 * predicted and not is_feasible(then):
                 program = step.corrected(program, x, now, then)
                 solution = solve(program)
@@ -352,7 +380,7 @@ def refine(
                 trial, then = complete(
                     simulation, _next_controls(step, program, x, now, 1.0), tight
                 )
-                gained = value - merit(instance, then)
+                gained = value - value_of(then)
             if gained > 0.05 * predicted:
                 accepted = True
                 break
@@ -368,12 +396,12 @@ def refine(
                 longer, far = complete(
                     simulation, _next_controls(step, program, x, now, length), tight
                 )
-                if merit(instance, far) >= merit(instance, then):
+                if value_of(far) >= value_of(then):
                     break
                 trial, then = longer, far
         if gained > GROW * predicted and trust.temperature_k < LARGEST_TRUST_K:
             trust = trust.scaled(2.0)
-        controls, now, value = trial, then, merit(instance, then)
+        controls, now, value = trial, then, value_of(then)
         multipliers = solution.z
         watch = step.watch.extended(instance, now)
         if watch != step.watch:

@@ -15,9 +15,18 @@ from relax.refinement import complete, merit
 from relax.simulate import Simulation, Thermostat, idle_controls
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from relax.relaxed_point import RelaxedPoint
 
-__all__ = ["best_start", "even_start", "relaxed_start", "split_starts", "warm_start"]
+__all__ = [
+    "best_start",
+    "even_start",
+    "further_starts",
+    "relaxed_start",
+    "split_starts",
+    "warm_start",
+]
 
 Array = npt.NDArray[np.float64]
 
@@ -135,6 +144,21 @@ def best_start(instance: Instance, point: RelaxedPoint | None, bound: float) -> 
     others = [warm_start(instance, cold, *level) for level in WARM_LEVELS]
     found = [first, *(completed(c) for c in [*others, even])]
     return min(found, key=lambda pair: pair[0])[1]
+
+
+def further_starts(instance: Instance) -> Iterator[Controls]:
+    """Yield starts for a subset whose plans break a limit: even, warm, and split between stops.
+
+    Parameters
+    ----------
+    instance : Instance
+        Subset and grid.
+    """
+    even = even_start(instance)
+    yield even
+    for level in WARM_LEVELS if instance.stops else ():
+        yield warm_start(instance, even, *level)
+    yield from split_starts(instance, even)
 
 
 def _followed(instance: Instance, wanted: Controls, thermostat: Thermostat) -> Controls:

@@ -101,11 +101,11 @@ def test_a_gap_below_the_error_of_the_grid_is_not_called_proved() -> None:
 
 def test_with_a_gap_asked_for_the_search_goes_on_without_a_plan() -> None:
     """What is left of boxes after cutting tells where to start; roots alone led nowhere here."""
-    trip = random_trip(122)
+    trip = random_trip(103)
     assert plan(trip).status is Status.UNKNOWN
     found = plan(trip, gap=0.5)
     assert found.status is Status.OPTIMAL and found.gap <= 0.5
-    assert found.ledger.counts()["total"] == 32
+    assert found.ledger.counts()["total"] == 4
 
 
 def test_no_time_at_all_still_gives_a_valid_answer() -> None:

@@ -1,0 +1,88 @@
+"""Trips whose first plans break a limit get a plan that holds on the road."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from trips import small_trip
+
+from benchmarks.random_trips import random_trip
+from enumerate import Outcome, plan
+from relax import make_instance, refine
+from relax.refinement import Refined, best_of, is_feasible
+from relax.starts import even_start, further_starts
+
+FOUND = {
+    157: "full at the start, on a pass",
+    224: "hot at the start, in steps of 20 km",
+    1590: "hot and without cooling: it has to charge slowly",
+    1402: "its first plan breaks a limit between the nodes, another does not",
+    912: "a further start that breaks a limit by a hair is cheaper",
+}
+
+
+@pytest.mark.parametrize("seed", FOUND)
+def test_a_trip_that_had_no_plan_has_one(seed: int) -> None:
+    result = plan(random_trip(seed))
+    assert result.replay is not None and result.replay.feasible, FOUND[seed]
+    assert result.lower_bound <= result.cost
+    assert result.execution is not None
+    assert is_feasible(result.execution.trajectory)
+
+
+def test_where_only_time_cools_the_battery_charges_slowly() -> None:
+    """Without cooling, full power would pass the limit by kelvins; a kelvin costs dear minutes."""
+    trip = replace(
+        small_trip(ambient_c=25.0, vehicle__cooling_kw=0.0, pack__temperature_max_c=36.0),
+        time_value_per_h=200.0,
+    )
+    slow, free = (make_instance(t, (0,)) for t in (trip, replace(trip, vehicle=replace(
+        trip.vehicle, pack=replace(trip.vehicle.pack, temperature_max_c=60.0)))))  # fmt: skip
+    found, fast = refine(slow, even_start(slow)), refine(free, even_start(free))
+    assert fast.trajectory.temperature_c.max() > 38.0
+    assert found.feasible
+    hours = [float(r.trajectory.stops[0].dwell_h.sum()) for r in (fast, found)]
+    assert hours[1] > 1.5 * hours[0]
+
+
+def test_a_plan_that_holds_is_never_given_up_for_a_cheaper_one_that_does_not() -> None:
+    instance = make_instance(small_trip(), (0,))
+    good = refine(instance, even_start(instance))
+    missed = np.array([0.0, 1e-4, 0.0, 0.0])
+    cheaper = replace(good.trajectory, cost=good.trajectory.cost - 1.0, violation=missed)
+    bad = Refined(good.controls, cheaper, is_feasible(cheaper), 0, 0.0)
+    assert not bad.feasible
+    assert best_of([bad, good], instance) is good
+    assert best_of([bad], instance) is bad
+
+
+def test_further_starts_are_different_and_can_be_refined() -> None:
+    instance = make_instance(small_trip(), (0, 1))
+    starts = list(further_starts(instance))
+    energies = {tuple(s.energy_kwh for s in start.stops) for start in starts}
+    heat = {float(start.heater_kw.sum()) for start in starts}
+    assert len(energies) >= 3 and len(heat) >= 3
+    assert all(refine(instance, start).feasible for start in starts)
+    assert list(further_starts(make_instance(small_trip(), ())))  # without stops: one
+
+
+def test_the_rescue_ends_with_the_first_plan_that_holds(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every plan of the search is refused; those of the rescue are driven by the tasks."""
+    search = sys.modules["enumerate.explore"]
+    honest, refused = search.execute, []  # type: ignore[attr-defined]
+
+    def refuse(trip, instance, *rest):  # type: ignore[no-untyped-def]
+        done = honest(trip, instance, *rest)
+        if refused:
+            return done
+        refused.append(instance.subset)
+        return replace(done, reason="made up")
+
+    monkeypatch.setattr(search, "execute", refuse)
+    trip = small_trip()
+    result = plan(replace(trip, chargers=trip.chargers[:1]))
+    rows = [r for r in result.ledger.rows if r.outcome is Outcome.PLANNED]
+    assert result.replay is not None and len(rows) == 1
