@@ -25,7 +25,7 @@ from enumerate.cli_exit import (
     before_planning,
     fail,
 )
-from enumerate.cli_options import GAP, QUIET, SECONDS, WORKERS, one_word, settings
+from enumerate.cli_options import GAP, QUIET, SECONDS, WORKERS, one_word, settings, threads
 from enumerate.cli_output import (
     STDOUT,
     check_files,
@@ -174,10 +174,10 @@ def _print_version(context: click.Context, wanted: bool) -> None:
 @click.option(
     "--workers",
     metavar="NUMBER",
-    default="1",
-    show_default=True,
+    default=threads,
+    show_default="one per core, at most 4",
     callback=WORKERS,
-    help="Threads over the choices of stops.",
+    help="Threads over the choices of stops; the plan is the same for any number.",
 )
 @click.option(
     "--solver",

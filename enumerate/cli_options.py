@@ -6,6 +6,7 @@ value and what is allowed. Imports nothing heavy.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 
@@ -22,6 +23,7 @@ __all__ = [
     "one_word",
     "read_values",
     "settings",
+    "threads",
     "whole",
 ]
 
@@ -30,6 +32,8 @@ Check = Callable[[click.Context, click.Parameter, Any], Any]
 
 MOST_VALUES = 100_000
 """Values of one range beyond which its step is a slip."""
+MOST_THREADS = 4
+"""Threads used unless asked for more: solves run side by side, the Python between them does not."""
 
 
 def _name(parameter: click.Parameter) -> str:
@@ -82,6 +86,13 @@ def whole(least: int) -> Check:
 
 
 WORKERS = whole(1)
+
+
+def threads() -> str:
+    """Return the number of cores this process may use, at most ``MOST_THREADS``, as text."""
+    allowed = getattr(os, "sched_getaffinity", None)  # not on every system
+    cores = len(allowed(0)) if allowed is not None else os.cpu_count() or 1
+    return str(min(cores, MOST_THREADS))
 
 
 def one_word(words: Sequence[str]) -> Check:

@@ -141,7 +141,7 @@ def refine_splits(setting: Setting, node: Node) -> Node:
 
 
 def rescue_node(setting: Setting, node: Node) -> Node:
-    """Plan a subset without a plan from further starts, until one gives a plan that holds driven."""
+    """Plan a subset from further starts, until one gives a plan that holds when it is driven."""
     begin = time.perf_counter()
     instance = setting.instance(node.row.subset)
     programs, row = 0, node.row

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import sys
 from dataclasses import replace
@@ -81,6 +82,17 @@ def test_same_answer_as_the_library(trip: Path) -> None:
     for found in (value, expected):
         del found["timings_s"]
     assert value == expected
+
+
+@pytest.mark.parametrize(("cores", "used"), [(1, "1"), (3, "3"), (64, "4")])
+def test_a_plan_uses_the_cores_it_may_use(
+    cores: int, used: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: set(range(cores)), raising=False)
+    assert cli_options.threads() == used
+    monkeypatch.delattr(os, "sched_getaffinity")  # a system without it
+    monkeypatch.setattr(os, "cpu_count", lambda: cores)
+    assert cli_options.threads() == used
 
 
 def test_a_ledger_is_written_and_audited(trip: Path, tmp_path: Path) -> None:

@@ -123,8 +123,9 @@ def instances() -> Iterator[tuple[str, Instance]]:
             yield f"nasty {seed} {subset}", make_instance(trip, subset)
     for seed in (1, 4, 7):  # down the hills with a battery that gets full
         for subset in ((), (0,), (1, 2)):
-            yield f"full {seed} {subset}", make_instance(
-                replace(nasty_trip(seed), soc_max=0.62), subset
+            yield (
+                f"full {seed} {subset}",
+                make_instance(replace(nasty_trip(seed), soc_max=0.62), subset),
             )
     for ambient in (-20.0, 0.0, 30.0):
         for pump in (0.0, 3.0):
