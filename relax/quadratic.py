@@ -26,6 +26,8 @@ Values = dict[str, tuple[Coefficients, Array | float]]
 SLACK_ROOM = np.array([0.2, 2.0, 2.0, 0.02])
 """How far a step may violate limits of energy, temperature, discharge power and dwell beyond
 what its trajectory already does [kWh, K, kW, h]; keeps the linear model where it is good."""
+COOLS_KW = 1e-3
+"""Cooling from which a step counts as cooled [kW]."""
 MARGIN_K = 1e-3
 """How far inside the temperature limits programs aim: what their linear model may miss [K]."""
 MARGIN_H = 1e-5
@@ -202,7 +204,9 @@ class QuadraticStep(StepLayout):
         values["heater_max"] = ((1.0, relief, relief, *tail), np.maximum(free, 0.0))
         if cools:
             values["cooling_min"] = ((-1.0,), now.cooling_kw)
-            values["cooling_max"] = ((1.0,), vehicle.cooling_kw - now.cooling_kw)
+            spare = vehicle.cooling_kw - now.cooling_kw
+            more = self._more_cooling_kwh(now)[: d.size] / d
+            values["cooling_max"] = ((1.0,), np.minimum(spare, more))
         end = now.energy_kwh[1 : d.size + 1]
         values["energy_min"] = ((-1.0, -1.0), end - instance.energy_min_kwh[1:])
         temp = np.concatenate([now.temperature_c[1:], *(s.temperature_c[1:] for s in now.stops)])
@@ -214,9 +218,14 @@ class QuadraticStep(StepLayout):
             (1.0, np.where(above < reach, -1.0, 0.0)),
             np.minimum(reach, above),
         )
+        down = np.full(temp.size, reach)
+        if cools:
+            cooling = np.concatenate([now.cooling_kw, *(s.cooling_kw for s in now.stops)])
+            fall = self._more_cooling_kwh(now) * vehicle.cooling_cop / storage
+            down = np.where(cooling > COOLS_KW, np.minimum(fall, reach), reach)
         values["temperature_min"] = (
-            (-1.0, np.where(below < reach, -1.0, 0.0)),
-            np.minimum(reach, below),
+            (-1.0, np.where(below < down, -1.0, 0.0)),
+            np.minimum(down, below),
         )
         if self.watch.discharge:
             limit, by_e, by_t = terms.discharge_limit
@@ -239,6 +248,22 @@ class QuadraticStep(StepLayout):
             values["brake_min"] = ((-1.0,), now.brake_kw[self.regen])
             most = -drive.base_kw[self.regen]
             values["brake_max"] = ((1.0,), np.maximum(most - now.brake_kw[self.regen], 0.0))
+
+    def _more_cooling_kwh(self, now: Trajectory) -> Array:
+        """Return how much more steps and cells may cool until they end where cooling stops.
+
+        Steps first, then the cells of all stops, as the simulation clips them (``drive_step``).
+        """
+        vehicle, drive = self.instance.vehicle, self.instance.drive
+        storage = vehicle.pack.heat_capacity_kwh_per_k
+        ends = np.concatenate([now.temperature_c[1:], *(s.temperature_c[1:] for s in now.stops)])
+        warm = storage * (ends - vehicle.cooling_from_c)
+        load = drive.base_kw + now.heater_kw + now.heat_pump_kw + now.cabin_heater_kw
+        squared = now.power_kw**2 + drive.ripple_kw2
+        uncooled = np.maximum(load, 0.0) ** 2 + drive.ripple_kw2
+        ratio = uncooled / np.maximum(squared, 1e-12)
+        warm[: load.size] -= drive.duration_h * now.loss_kw * (1.0 - ratio)
+        return np.asarray(np.maximum(warm, 0.0) / max(vehicle.cooling_cop, 1e-6))
 
     def _cell_values(
         self,
@@ -319,10 +344,11 @@ class QuadraticStep(StepLayout):
             np.maximum(room, 0.0),
         )
         if cools:
+            more = self._more_cooling_kwh(now)[now.power_kw.size :]
             values["cell_cooling_min"] = ((-1.0,), cooling)
             values["cell_cooling_max"] = (
                 (1.0, -vehicle.cooling_kw),
-                np.maximum(vehicle.cooling_kw * y - cooling, 0.0),
+                np.clip(vehicle.cooling_kw * y - cooling, 0.0, more),
             )
         if pumps:
             values["cell_pump_min"] = ((-1.0,), pump)

@@ -9,9 +9,11 @@ from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
+import pytest
 from test_expansion import INSTANCE as SMOOTH
+from trips import small_trip
 
-from relax import Controls, Instance, Trajectory, idle_controls, simulate
+from relax import Controls, Instance, Trajectory, idle_controls, make_instance, simulate
 from relax.expansion import expand_cells, expand_drive
 from relax.quadratic import QuadraticStep, TrustRegion
 from relax.refinement import penalty_prices
@@ -81,7 +83,8 @@ def test_the_step_program_is_the_linearisation_of_the_simulation() -> None:
     On affine tables, with every optional part switched on; a wrong coefficient anywhere leaves
     an error that only halves.
     """
-    instance = SMOOTH
+    # cooling works at any temperature here: where it stops is the next test's
+    instance = replace(SMOOTH, vehicle=replace(SMOOTH.vehicle, cooling_from_c=-25.0))
     now = simulate(instance, interior_controls(instance, 0.0))
     step = QuadraticStep(instance, Watch(cooling=True, discharge=True))
     program = step.build(
@@ -111,6 +114,56 @@ def test_the_step_program_is_the_linearisation_of_the_simulation() -> None:
     for name, coarse in errors[0].items():
         fine = errors[1][name]
         assert coarse < 1e-6 or fine < 0.3 * coarse, (name, coarse, fine)
+
+
+@pytest.mark.parametrize("downhill", [False, True])
+def test_the_program_cools_as_far_as_the_simulation_does(downhill: bool) -> None:
+    """First step and first cell: what it allows is what is left of any larger wish."""
+    trip = small_trip(ambient_c=33.0, vehicle__cooling_from_c=30.0)
+    if downhill:  # what recuperation heats does not count there
+        power = np.where(np.arange(trip.route.propulsion_kw.size) < 3, -30.0, 25.0)
+        trip = replace(trip, start_soc=0.6, route=replace(trip.route, propulsion_kw=power))
+    binding = 0
+    for start_c in (28.0, 30.05, 30.3, 31.0, 38.0):
+        for node in (False, True):
+            first = trip.chargers[0]
+            places = (replace(first, position_km=0.0) if node else first, trip.chargers[1])
+            here = replace(trip, start_temperature_c=start_c, chargers=places)
+            instance = make_instance(here, (0,))
+            idle = idle_controls(instance, (8.0,))
+            v, n = instance.vehicle, instance.drive.n_steps
+            cool = replace(
+                idle,
+                cooling_kw=np.full(n, 0.1),
+                stops=tuple(
+                    replace(s, cooling_kw=np.full(instance.cells, 0.1)) for s in idle.stops
+                ),
+            )
+            full = replace(
+                cool,
+                cooling_kw=np.full(n, v.cooling_kw),
+                stops=tuple(
+                    replace(s, cooling_kw=np.full(instance.cells, v.cooling_kw)) for s in cool.stops
+                ),
+            )
+            now, then = simulate(instance, cool), simulate(instance, full)
+            step = QuadraticStep(instance, Watch(cooling=True))
+            program = step.build(
+                now, expand_drive(instance, now), expand_cells(instance, now), None,
+                penalty_prices(instance), TrustRegion(1e6, 1e6),
+            )  # fmt: skip
+            rows, allowed, done = step.rows.slices, 0.0, 0.0
+            if node:
+                a, b = now.stops[0], then.stops[0]
+                allowed = float(program.b[rows["cell_cooling_max"]][0])
+                done = float(b.cooling_kw[0] * b.dwell_h[0] - a.cooling_kw[0] * a.dwell_h[0])
+                done -= v.cooling_kw * float(b.dwell_h[0] - a.dwell_h[0])
+            else:
+                allowed = float(program.b[rows["cooling_max"]][0])
+                done = float(then.cooling_kw[0] - now.cooling_kw[0])
+            assert allowed == pytest.approx(done, abs=0.03 * v.cooling_kw * (0.1 if node else 1.0))
+            binding += 1e-6 < allowed < 0.9 * (v.cooling_kw - 0.1)
+    assert binding
 
 
 def _slack(instance: Instance, t: Trajectory) -> dict[str, Array]:
