@@ -368,12 +368,12 @@ class Search:
             if self.best is None or self.best.row.subset == subset:
                 return
 
-    def replay(self) -> None:
+    def drive_or_rescue(self) -> None:
         """Drive plans until one holds; if none does, plan the most promising subsets again."""
         self.drive()
         for node in self.open()[:RESCUED]:
             if self.best is None and not self.interrupted:
-                self.run(rescue_node, [node], "further starts")
+                self.run(partial(rescue_node, deadline=self.deadline), [node], "further starts")
         if self.best is not None and self.execution is None:
             self.drive()
 

@@ -121,7 +121,7 @@ def plan(
         phases: list[tuple[str, Callable[[], None]]] = [
             ("relax", search.relax),
             ("refine", lambda: search.refine(prune)),
-            ("replay", search.replay),
+            ("replay", search.drive_or_rescue),
         ]
         if gap is not None:
             phases.append(("prove", lambda: search.prove(gap)))

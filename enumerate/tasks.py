@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, replace
+from itertools import islice
 from math import inf
 
 from enumerate.ledger import Outcome, Row
@@ -140,12 +141,16 @@ def refine_splits(setting: Setting, node: Node) -> Node:
     return refine_node(setting, node, split_starts(instance, node.refined.controls))
 
 
-def rescue_node(setting: Setting, node: Node) -> Node:
+def rescue_node(setting: Setting, node: Node, deadline: float = inf) -> Node:
     """Plan a subset from further starts, until one gives a plan that holds when it is driven."""
     begin = time.perf_counter()
     instance = setting.instance(node.row.subset)
     programs, row = 0, node.row
-    for start in further_starts(instance):
+    # where the first plan broke a limit on the grid, the even start has been tried already
+    tried = int(node.refined is not None and not node.refined.feasible)
+    for start in islice(further_starts(instance), tried, None):
+        if time.perf_counter() > deadline:
+            break
         refined = refine(instance, start, setting.refine)
         programs += refined.programs
         if refined.feasible and not execute(setting.trip, instance, refined, setting.refine).reason:

@@ -196,7 +196,10 @@ class Instance:
 
     @property
     def ceiling_kwh(self) -> float:
-        """Largest internal energy on the way: a full charge, or the start if that is above it."""
+        """Largest internal energy on the way: a full charge, or the start if that is above it.
+
+        Recuperation beyond it is refused.
+        """
         return max(self.energy_max_kwh, self.start_energy_kwh)
 
     @property

@@ -18,7 +18,7 @@ from relax.instance import MIN_CHARGE_KWH, Instance
 from relax.intervals import EMPTY_MARGIN, Interval, range1, range2
 from relax.physics import battery_power, heat_pump_power
 
-__all__ = ["COOLING_SLACK_K", "filling_steps", "make_box", "propagate", "pump_limits"]
+__all__ = ["COOLING_SLACK_K", "FULL_SLACK_KWH", "make_box", "may_fill", "propagate", "pump_limits"]
 
 Array = npt.NDArray[np.float64]
 
@@ -67,7 +67,7 @@ def _least(start: Array, cap: Array, used: Array) -> Array:
     return np.asarray(np.minimum.accumulate(out, axis=1) - total)
 
 
-def filling_steps(instance: Instance, box: Box) -> npt.NDArray[np.bool_]:
+def may_fill(instance: Instance, box: Box) -> npt.NDArray[np.bool_]:
     """Return the steps that may end with a full battery, which refuses recuperation, shape (n,).
 
     Parameters
@@ -100,7 +100,7 @@ def _drive_flow(instance: Instance, box: Box) -> tuple[Interval, Interval]:
     # when the charge limit refuses power, the brake takes it and P is minus the limit; a
     # battery that is full in the end takes what is left of it, at least 0
     hi = np.where(lo < -in_range.lo, np.maximum(hi, -in_range.lo), hi)
-    hi = np.where(filling_steps(instance, box), np.maximum(hi, 0.0), hi)
+    hi = np.where(may_fill(instance, box), np.maximum(hi, 0.0), hi)
     start = box.start_energy
     power = (
         box.power.meet(np.maximum(lo, -in_range.hi), np.minimum(hi, out_hi))

@@ -312,9 +312,10 @@ def refine(
             programs=found.programs + again.programs,
             solve_s=found.solve_s + again.solve_s,
         )
-    if not found.feasible:
-        return replace(first, programs=found.programs, solve_s=found.solve_s)
-    return found
+    if found.feasible:
+        return found
+    nearest = min(first, found, key=lambda r: float(r.trajectory.violation.max()))
+    return replace(nearest, programs=found.programs, solve_s=found.solve_s)
 
 
 def _descend(
@@ -363,8 +364,9 @@ def _descend(
             model = now.cost - _occupancy(instance, now) + program.change(x)
             predicted = value - model
             near = FEASIBLE < float(now.violation.max()) < NEARLY_FEASIBLE
-            least = settings.tolerance * max(abs(value), 1.0)
-            if value - HOPE * predicted > settings.hopeless and predicted < LOSING * value:
+            size = merit(instance, now)  # its usual penalty: a dearer one would loosen tolerances
+            least = settings.tolerance * max(abs(size), 1.0)
+            if value - HOPE * predicted > settings.hopeless and predicted < LOSING * size:
                 return Refined(controls, now, is_feasible(now), programs, seconds)
             if predicted <= (1e-3 * least if near else least):
                 return Refined(controls, now, is_feasible(now), programs, seconds)

@@ -17,7 +17,7 @@ from relax.envelopes import (
 from relax.envelopes_charge import envelope_table_over
 from relax.intervals import Interval, range1, range2
 from relax.program import Term
-from relax.reach import COOLING_SLACK_K, filling_steps, pump_limits
+from relax.reach import COOLING_SLACK_K, may_fill, pump_limits
 from relax.relaxation_model import Array, Model, middle, pick, pump_planes
 
 __all__ = ["FLOOR_WIDTH_K", "LEAST_RESISTANCE_OHM", "add_drive"]
@@ -45,7 +45,7 @@ def add_drive(model: Model) -> None:
     ) * (1.0 + 1e-9)
     refused = range2(pack.charge_limit_kw, energy, temp).lo
     braking = (drive.base_kw < 0.0) & (box.power.lo <= 1e-6 - refused)
-    braking |= filling_steps(instance, box)
+    braking |= may_fill(instance, box)
     cools = box.temperature.hi[1:] >= vehicle.cooling_from_c - COOLING_SLACK_K
     cools &= vehicle.cooling_kw > 0.0
     heater_hi = np.maximum(vehicle.heater_kw - (q - heat_hi) / eta_c, 0.0)

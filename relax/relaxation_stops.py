@@ -60,7 +60,7 @@ def add_stops(model: Model) -> None:
     maybe = box.optional[:, None]
     for name, exists, scale, lo, hi in (
         ("dwell", every, 0.03, box.dwell.lo, y_hi),
-        ("cell_loss", every, 0.05, 0.0, loss_hi * (1.0 + 1e-9) + 1e-9),
+        ("cell_loss", every, 0.05, 0.0, np.maximum(loss_hi, 0.0) * (1.0 + 1e-9) + 1e-9),
         ("temp_dwell", every, 0.5, corners.min(axis=0) - 1e-9, corners.max(axis=0) + 1e-9),
         ("cell_heater", every & (vehicle.heater_kw > 0.0), 0.1, 0.0, vehicle.heater_kw * y_hi),
         ("cell_cooling", cools, 0.1, 0.0, vehicle.cooling_kw * y_hi),

@@ -263,8 +263,8 @@ def simulate(instance: Instance, controls: Controls) -> Trajectory:
     instance : Instance
         Subset and grid.
     controls : Controls
-        Powers per step and cell; clipped to the actuators, the cabin's demand
-        and the charge limits where they exceed them. The battery heater never
+        Powers per step and cell; clipped to the actuators, the cabin's demand,
+        the charge limits and a full battery where they exceed them. The battery heater never
         heats beyond the battery's temperature limit. Every stop charges: its
         energy and its planned powers are above 0.
 

@@ -35,7 +35,7 @@ from relax.envelopes_charge import (
 )
 from relax.instance import Instance, Stop
 from relax.intervals import Interval, range1, range2
-from relax.reach import COOLING_SLACK_K, filling_steps, pump_limits
+from relax.reach import COOLING_SLACK_K, FULL_SLACK_KWH, pump_limits
 from relax.relaxation_drive import FLOOR_WIDTH_K
 from relax.relaxation_stops import STOP_TEMPERATURES
 
@@ -151,7 +151,8 @@ def _drive_rows(
     rows += [hp[off] == 0.0, h[off] == 0.0] if off.size else []
     refused = range2(pack.charge_limit_kw, energy, temp).lo
     braking = (drive.base_kw < 0.0) & (box.power.lo <= 1e-6 - refused)
-    braking |= filling_steps(instance, box)
+    full = box.energy.hi[1:] >= instance.ceiling_kwh - FULL_SLACK_KWH
+    braking |= full & (drive.base_kw < 0.0)
     rows += [br >= 0.0, br <= np.where(braking, np.maximum(-drive.base_kw, 0.0), 0.0)]
     least = range2(pack.discharge_limit_kw, energy, temp).lo
     for table, tight, sign in (

@@ -178,7 +178,7 @@ def drive_step(
         flow = q_ed - (heat - pump) + conductance * (ambient - mid)
         cooling = cooling_set
         if heater > 0.0 or cooling > 0.0:
-            load = base + heater + cooling + pump + cabin
+            load = max(base + heater + cooling + pump + cabin, filling)  # a full battery takes less
             end_free = temp + scale * (flow + r * (load * load + ripple))
             most = (cap - end_free) / (scale * heater_eff)
             if heater > most:

@@ -20,12 +20,14 @@ from enumerate.search import plan
 from enumerate.tree import Examined, Leaf, examine, make_roots
 from relax.bound import relax_subset
 from relax.branch import Branch, Target, branch, decide, limit_count
+from relax.certify import LowerBound, certify_lower_bound
 from relax.instance import Instance, make_instance
 from relax.plan import Trajectory
 from relax.reach import make_box, propagate
 from relax.refinement import refine
 from relax.relaxation import build_relaxation
 from relax.relaxed_point import lift
+from relax.solve import solve_cone
 from relax.starts import best_start
 from relax.tighten import tighten
 from relax.trip import Trip
@@ -308,7 +310,10 @@ def test_a_stop_that_cannot_be_used_stays_out_of_the_way() -> None:
         for _ in range(30):
             box = propagate(instance, box)
         assert box.charge.hi[never] == pytest.approx(before.hi[never], abs=1e-4)
-        assert build_relaxation(instance, box).q.size > 0
+        program = build_relaxation(instance, box)
+        assert np.all(program.l <= program.u)
+        bound = certify_lower_bound(program, solve_cone(program).z)
+        assert isinstance(bound, LowerBound)
 
 
 def test_a_part_without_members_says_nothing_of_the_subset_it_is_left_with() -> None:

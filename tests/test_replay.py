@@ -429,7 +429,21 @@ def test_a_full_battery_refuses_recuperation(soc_max: float, step_km: float) -> 
     assert refused[0] > refused[1] + 0.3
     near = pytest.approx(refused[0], rel=0.01 * step_km)
     assert driven.totals_kwh["refused_recuperation"] == near
+    assert driven.final_energy_kwh == pytest.approx(planned.final_energy_kwh, abs=1e-3)
     assert abs(driven.balance_kwh) < 1e-9 and abs(driven.heat_balance_kwh) < 1e-9
+
+
+@pytest.mark.parametrize(("step_km", "kwh"), [(1.0, 0.0), (4.0, 0.6), (10.0, 0.6)])
+def test_a_long_step_keeps_what_the_drive_refuses(step_km: float, kwh: float) -> None:
+    """Full, 35 km steeply down and then up again: the grid looks at the ends of its steps."""
+    trip = small_trip(start_soc=0.9, soc_max=0.9, grid__step_km=step_km)
+    power = np.where(trip.route.node_km[:-1] < 35.0, -60.0, 20.0)
+    trip = replace(trip, route=replace(trip.route, propulsion_kw=power))
+    instance = make_instance(trip, ())
+    controls = idle_controls(instance, ())
+    planned, driven = simulate(instance, controls), drive(trip, instance, controls)
+    more = planned.final_energy_kwh - driven.final_energy_kwh
+    assert more == pytest.approx(kwh, abs=0.15)
 
 
 def test_a_battery_overfilled_at_a_stop_is_noticed() -> None:

@@ -11,9 +11,13 @@ from trips import small_trip
 
 from benchmarks.random_trips import random_trip
 from enumerate import Outcome, plan
-from relax import make_instance, refine
-from relax.refinement import Refined, best_of, is_feasible
-from relax.starts import even_start, further_starts
+from enumerate.ledger import Row
+from enumerate.tasks import Node, Setting, rescue_node
+from relax import make_instance, refine, simulate
+from relax.bound import relax_subset
+from relax.instance import make_drive
+from relax.refinement import Refined, RefineSettings, _descend, best_of, is_feasible
+from relax.starts import best_start, even_start, further_starts
 
 FOUND = {
     157: "full at the start, on a pass",
@@ -21,6 +25,7 @@ FOUND = {
     1590: "hot and without cooling: it has to charge slowly",
     1402: "its first plan breaks a limit between the nodes, another does not",
     912: "a further start that breaks a limit by a hair is cheaper",
+    862: "hot, with peaks within its long steps: the fifth repair holds",
 }
 
 
@@ -66,11 +71,48 @@ def test_further_starts_are_different_and_can_be_refined() -> None:
     heat = {float(start.heater_kw.sum()) for start in starts}
     assert len(energies) >= 3 and len(heat) >= 3
     assert all(refine(instance, start).feasible for start in starts)
-    assert list(further_starts(make_instance(small_trip(), ())))  # without stops: one
+    assert len(list(further_starts(make_instance(small_trip(), ())))) == 1
 
 
-def test_the_rescue_ends_with_the_first_plan_that_holds(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Every plan of the search is refused; those of the rescue are driven by the tasks."""
+def test_a_kelvin_may_be_worth_a_hundred_times_the_usual_penalty() -> None:
+    instance = make_instance(random_trip(481), (1,))
+    relaxed = relax_subset(instance)
+    assert relaxed.lower_bound is not None
+    start = best_start(instance, relaxed.point, relaxed.lower_bound)
+    assert [_descend(instance, start, RefineSettings(), w).feasible for w in (1.0, 10.0)] == [
+        False,
+        False,
+    ]
+    assert refine(instance, start).feasible
+
+
+@pytest.mark.parametrize("seed", [452, 862])
+def test_a_repaired_plan_is_the_simulation_of_its_controls(seed: int) -> None:
+    """On the trip's own limits, not on those that a repair has tightened."""
+    result = plan(random_trip(seed))
+    done, instance = result.execution, result.instance
+    assert done is not None and instance is not None
+    again = simulate(instance, done.controls)
+    assert again.cost == pytest.approx(done.trajectory.cost, rel=1e-12, abs=1e-12)
+    assert is_feasible(again)
+
+
+def test_a_rescue_has_no_more_time_than_the_search() -> None:
+    trip = small_trip()
+    setting = Setting(trip, make_drive(trip, trip.grid.step_km), trip.grid, RefineSettings())
+    node = Node(Row((0,), Outcome.UNPROVED))
+    late = rescue_node(setting, node, deadline=0.0)
+    assert late.row.programs == 0 and late.row.outcome is Outcome.UNPROVED
+    found = rescue_node(setting, node)
+    assert found.row.outcome is Outcome.PLANNED
+    one = refine(setting.instance((0,)), next(iter(further_starts(setting.instance((0,))))))
+    assert found.row.programs == one.programs  # the first that holds ends it
+
+
+def test_if_every_plan_is_refused_those_of_further_starts_count(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The first plan of the search is refused; those of the rescue are driven by the tasks."""
     search = sys.modules["enumerate.explore"]
     honest, refused = search.execute, []  # type: ignore[attr-defined]
 

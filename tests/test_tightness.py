@@ -199,8 +199,10 @@ def test_every_term_vanishes_at_a_simulated_trajectory(
         assert t.above_kwh < 1e-8 and t.below_kwh < 1e-8, t
 
 
-def test_braking_and_limits_vanish_at_a_trajectory_with_long_descents() -> None:
-    trip = small_trip(start_soc=0.9, ambient_c=-15.0)
+@pytest.mark.parametrize("soc_max", [1.0, 0.9])
+def test_braking_and_limits_vanish_at_a_trajectory_with_long_descents(soc_max: float) -> None:
+    """Recuperation is too fast for the cold battery, or the battery is full."""
+    trip = small_trip(start_soc=0.9, ambient_c=-15.0 if soc_max == 1.0 else 10.0, soc_max=soc_max)
     power = np.where(np.arange(trip.route.propulsion_kw.size) % 2 == 0, -55.0, 35.0)
     trip = replace(trip, route=replace(trip.route, propulsion_kw=power))
     instance = make_instance(trip, ())
@@ -210,6 +212,8 @@ def test_braking_and_limits_vanish_at_a_trajectory_with_long_descents() -> None:
     terms = measure_tightness(instance, program, lift(instance, program, trajectory))
     assert tuple(t.term for t in terms) == DRIVING
     assert max(t.largest_kw for t in terms) < 1e-6
+    if soc_max < 1.0:
+        assert trajectory.energy_kwh.max() == pytest.approx(instance.ceiling_kwh, abs=1e-9)
 
 
 @pytest.mark.parametrize(

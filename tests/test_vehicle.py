@@ -110,9 +110,11 @@ def test_the_maps_end_where_the_tables_end() -> None:
     with pytest.raises(DomainError):
         pack.energy_kwh(1.01)
     with pytest.raises(DomainError):
-        pack.soc(-0.1)
+        pack.soc(-2e-4)
     with pytest.raises(DomainError):
-        pack.soc(full + 0.1)
+        pack.soc(full + 2e-4)
+    beyond = pack.soc([-5e-5, full + 5e-5])  # rounding of a drive
+    assert beyond.tolist() == pack.soc([0.0, full]).tolist()
     with pytest.raises(DomainError):
         pack.charge_limit_kw.at(0.5 * full, 61.0)
 

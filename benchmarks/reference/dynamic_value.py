@@ -198,7 +198,8 @@ def _step_back(tables: ValueTables, j: int, k: int, coarse: Array, packed: Array
     for first in range(0, rows, chunk):
         energy = least + tables.surplus_kwh[first : first + chunk, None]
         drop, end, broken = _read(packed, coarse, energy, np.broadcast_to(column, energy.shape))
-        drop = np.maximum(drop, energy[..., None] - tables.ceiling)  # full: it refuses the rest
+        # a full battery refuses the rest; the little heat of charging it is kept
+        drop = np.maximum(drop, energy[..., None] - tables.ceiling)
         left = energy[..., None] - drop - tables.along(frontier, end)
         cost = tables.blend(value, tables.row(left), end) + tables.limit_price * broken
         open_ = left >= -SURPLUS_TOLERANCE_KWH
