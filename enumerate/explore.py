@@ -179,7 +179,7 @@ class Search:
         if self.report is not None:
             bound = self.account.open_bound
             if bound == inf:  # no leaves yet: every subset speaks for itself
-                bound = min(n.row.lower_bound for n in self.nodes.values())
+                bound = min((n.row.lower_bound for n in self.nodes.values()), default=inf)
             self.report(Progress(phase, done, total, self.cost, bound))
 
     def relax(self) -> None:

@@ -84,6 +84,16 @@ def test_same_answer_as_the_library(trip: Path) -> None:
     assert value == expected
 
 
+@pytest.mark.parametrize("options", [(), ("--gap", 0.05), ("--quiet",)])
+def test_many_chargers_and_none_within_reach_end_with_a_reason(options: tuple[object, ...]) -> None:
+    """The first family is proved infeasible: there is nothing yet that progress could speak of."""
+    done = shell("plan", "goteborg-stockholm-winter", "--set", "start.soc=0.15", *options)
+    assert done.returncode == 3, done.stderr
+    assert "Traceback" not in done.stderr
+    assert "256 choices of stops: 256 proved infeasible." in done.stdout
+    assert "start.soc of about" in done.stdout
+
+
 @pytest.mark.parametrize(("cores", "used"), [(1, "1"), (3, "3"), (64, "4")])
 def test_a_plan_uses_the_cores_it_may_use(
     cores: int, used: str, monkeypatch: pytest.MonkeyPatch
