@@ -188,7 +188,10 @@ def _print_version(context: click.Context, wanted: bool) -> None:
     help="Solver of the quadratic programs.",
 )
 @click.option(
-    "--all", "everything", is_flag=True, help="Plan every choice of stops, skip none by its bound."
+    "--all",
+    "everything",
+    is_flag=True,
+    help="Plan every choice of stops, skip none by its bound; up to ten chargers.",
 )
 @QUIET
 def plan(
@@ -214,7 +217,7 @@ def plan(
     with before_planning():
         check_files({"--json": json_file, "--ledger": ledger_file})
         check_folder("--plot", plot_folder)
-        loaded = _load(trip, overrides)
+        loaded = _load(trip, overrides, everything)
     try:
         from enumerate.search import plan as plan_trip
 
@@ -299,9 +302,9 @@ def _shipped() -> dict[str, dict[str, str]]:
     }
 
 
-def _load(trip: str, overrides: dict[str, object]) -> Trip:
+def _load(trip: str, overrides: dict[str, object], everything: bool = False) -> Trip:
     """Load a trip and refuse what the search would refuse."""
-    from enumerate.search import MAX_CHARGERS
+    from enumerate.search import MAX_CHARGERS, MAX_PLANNED
     from relax.errors import InputError
     from relax.load import load_trip
 
@@ -309,6 +312,9 @@ def _load(trip: str, overrides: dict[str, object]) -> Trip:
     number = len(loaded.chargers)
     if number > MAX_CHARGERS:
         raise InputError(trip, "charger", f"{number} of them", f"at most {MAX_CHARGERS}")
+    if everything and number > MAX_PLANNED:
+        allowed = f"at most {MAX_PLANNED} with --all"
+        raise InputError(trip, "charger", f"{number} of them", allowed)
     return loaded
 
 

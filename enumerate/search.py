@@ -24,7 +24,7 @@ from relax.refinement import RefineSettings
 from relax.report import make_report
 from relax.trip import Grid, Trip
 
-__all__ = ["MAX_CHARGERS", "plan"]
+__all__ = ["MAX_CHARGERS", "MAX_PLANNED", "plan"]
 
 MAX_CHARGERS = 64
 """More chargers than this are refused."""

@@ -235,6 +235,14 @@ def test_values_are_toml_or_strings() -> None:
     }  # fmt: skip
 
 
+def test_all_choices_of_many_chargers_are_not_planned() -> None:
+    done = call("plan", "long-1000km-winter", "--all")
+    assert done.exit_code == 2 and done.stdout == ""
+    assert done.stderr == (
+        "evrelax: long-1000km-winter: charger: '20 of them'; allowed: at most 10 with --all\n"
+    )
+
+
 def test_too_many_chargers_are_bad_input(trip: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(search, "MAX_CHARGERS", 1)
     done = call("plan", trip)
