@@ -258,6 +258,8 @@ class StageProgram:
 
     def claim_quantity(self, target: Target, sign: int, budget: Plane, z: Array) -> float:
         """Certify a lower bound of sign * quantity within a budget; ``-inf`` without proof."""
+        if not np.isfinite(budget.constant):  # no plan and no bound yet: nothing to rest on
+            return -np.inf
         self._set_budget(budget)
         program = replace(self.cone, q=self._quantity(target, sign), constant=0.0)
         safe = certify_lower_bound(program, self._claimed(z, within=True))

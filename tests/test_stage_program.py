@@ -227,6 +227,18 @@ def test_the_asked_start_does_not_enter_what_is_claimed() -> None:
     assert program.claim_cost(slope, z) == pytest.approx(first, rel=1e-12)
 
 
+def test_within_no_budget_nothing_is_claimed() -> None:
+    """No plan and no bound yet: silently no claim, whatever the dual vector."""
+    program = make_program("winter", 0, 1)
+    target = Target("charge", 0, "charge")
+    solver = ConeSolver(program.cone, SolveSettings(tolerance=1e-6))
+    _, z, _ = solved(program, program.ask_quantity(target, 1, Plane(500.0, 0.0, 0.0)), solver)
+    assert program.claim_quantity(target, 1, Plane(500.0, 0.0, 0.0), z) > -np.inf
+    with np.errstate(all="raise"):
+        for constant in (np.inf, np.nan):
+            assert program.claim_quantity(target, 1, Plane(constant, 0.0, 0.0), z) == -np.inf
+
+
 @pytest.mark.parametrize(("first", "last"), [(START, 0), (1, 2), (2, 3)])
 def test_a_stage_without_steps(first: int, last: int) -> None:
     """From the start to a charger there; between two, and past one at the destination."""
