@@ -202,11 +202,11 @@ class QuadraticStep(StepLayout):
         free = vehicle.heater_kw - now.cabin_heater_kw - now.heater_kw
         values["heater_min"] = ((-1.0,), now.heater_kw)
         values["heater_max"] = ((1.0, relief, relief, *tail), np.maximum(free, 0.0))
+        more = self._more_cooling_kwh(now) if cools else np.zeros(0)
         if cools:
             values["cooling_min"] = ((-1.0,), now.cooling_kw)
             spare = vehicle.cooling_kw - now.cooling_kw
-            more = self._more_cooling_kwh(now)[: d.size] / d
-            values["cooling_max"] = ((1.0,), np.minimum(spare, more))
+            values["cooling_max"] = ((1.0,), np.minimum(spare, more[: d.size] / d))
         end = now.energy_kwh[1 : d.size + 1]
         values["energy_min"] = ((-1.0, -1.0), end - instance.energy_min_kwh[1:])
         temp = np.concatenate([now.temperature_c[1:], *(s.temperature_c[1:] for s in now.stops)])
@@ -221,7 +221,7 @@ class QuadraticStep(StepLayout):
         down = np.full(temp.size, reach)
         if cools:
             cooling = np.concatenate([now.cooling_kw, *(s.cooling_kw for s in now.stops)])
-            fall = self._more_cooling_kwh(now) * vehicle.cooling_cop / storage
+            fall = more * vehicle.cooling_cop / storage
             down = np.where(cooling > COOLS_KW, np.minimum(fall, reach), reach)
         values["temperature_min"] = (
             (-1.0, np.where(below < down, -1.0, 0.0)),
