@@ -62,17 +62,6 @@ class Execution:
     reason: str
 
 
-def _as_done(refined: Refined) -> Controls:
-    """Return a plan's controls with the heater as it heated: tightened limits hold it back."""
-    controls, done = refined.controls, refined.trajectory
-    stops = zip(controls.stops, done.stops, strict=True)
-    return replace(
-        controls,
-        heater_kw=done.heater_kw,
-        stops=tuple(replace(c, heater_kw=s.heater_kw) for c, s in stops),
-    )
-
-
 def _drive(
     trip: Trip, instance: Instance, controls: Controls, trajectory: Trajectory
 ) -> tuple[tuple[float, ...], Replay]:
@@ -185,7 +174,8 @@ def execute(
         if margin is None:
             break
         inner = _tightened(inner, driven, margin)
-        repaired = _as_done(refine(inner, controls, settings))
+        found = refine(inner, controls, settings)
+        repaired = found.controls.heated_as(found.trajectory)  # tightened limits held it back
         now = simulate(instance, repaired)
         if not is_feasible(now):  # the tightened limits may be missed, the trip's own not
             break

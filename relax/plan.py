@@ -7,7 +7,7 @@ either was found.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -55,6 +55,21 @@ class Controls:
     cooling_kw: Array
     heat_pump_kw: Array
     stops: tuple[StopControls, ...]
+
+    def heated_as(self, done: Trajectory) -> Controls:
+        """Return these controls with the heater's powers of a trajectory: what it was held to.
+
+        Parameters
+        ----------
+        done : Trajectory
+            What these controls caused.
+        """
+        stops = zip(self.stops, done.stops, strict=True)
+        return replace(
+            self,
+            heater_kw=done.heater_kw,
+            stops=tuple(replace(c, heater_kw=s.heater_kw) for c, s in stops),
+        )
 
 
 @dataclass(frozen=True)

@@ -164,13 +164,7 @@ def further_starts(instance: Instance) -> Iterator[Controls]:
 def _followed(instance: Instance, wanted: Controls, thermostat: Thermostat) -> Controls:
     """Return the heater powers that a thermostat leads to, everything else as wanted."""
     ran = Simulation(instance).run(wanted, thermostat=thermostat)
-    return replace(
-        wanted,
-        heater_kw=ran.heater_kw,
-        stops=tuple(
-            replace(c, heater_kw=s.heater_kw) for c, s in zip(wanted.stops, ran.stops, strict=True)
-        ),
-    )
+    return wanted.heated_as(ran)
 
 
 def split_starts(instance: Instance, controls: Controls) -> list[Controls]:
