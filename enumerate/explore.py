@@ -33,6 +33,7 @@ from enumerate.tasks import (
     refine_node,
     refine_point,
     refine_splits,
+    refine_thinned,
     relax_node,
     rescue_node,
 )
@@ -234,6 +235,20 @@ class Search:
             before = self.cost
             order = [s.charger for s in self.setting.instance(tuple(range(self.n_chargers))).stops]
             self._plan_new(neighbours(self.best.row.subset, order))
+            if self.cost == before:
+                self._thin(self.best)
+
+    def _thin(self, plan: Node) -> None:
+        """Plan what is left of a plan's stops without each of them, from the plan itself.
+
+        Planned by itself such a subset may end in a local optimum that is dearer.
+        """
+        subset = plan.row.subset
+        left = [self.nodes.get(tuple(c for c in subset if c != out)) for out in subset]
+        nodes = [
+            n for n in left if n is not None and n.row.lower_bound < self.cost and n.row.subset
+        ]
+        self.run(partial(refine_thinned, plan=plan), nodes, "further starts")
 
     def _plan_new(self, subsets: Iterable[Subset]) -> None:
         """Relax and refine subsets not met before."""

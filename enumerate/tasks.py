@@ -20,7 +20,14 @@ from relax.plan import Controls
 from relax.proof import Step
 from relax.refinement import Refined, RefineSettings, best_of, refine
 from relax.relaxed_point import RelaxedPoint
-from relax.starts import best_start, even_start, further_starts, relaxed_start, split_starts
+from relax.starts import (
+    best_start,
+    even_start,
+    further_starts,
+    relaxed_start,
+    split_starts,
+    thinned_starts,
+)
 from relax.trip import Grid, Trip
 
 __all__ = [
@@ -30,6 +37,7 @@ __all__ = [
     "refine_node",
     "refine_point",
     "refine_splits",
+    "refine_thinned",
     "relax_node",
     "rescue_node",
 ]
@@ -139,6 +147,15 @@ def refine_splits(setting: Setting, node: Node) -> Node:
     assert node.refined is not None
     instance = setting.instance(node.row.subset)
     return refine_node(setting, node, split_starts(instance, node.refined.controls))
+
+
+def refine_thinned(setting: Setting, node: Node, plan: Node) -> Node:
+    """Plan a subset again, from the plan of one that uses a charger more."""
+    assert plan.refined is not None
+    chargers = [stop.charger for stop in setting.instance(plan.row.subset).stops]
+    (left_out,) = set(chargers) - set(node.row.subset)
+    starts = thinned_starts(plan.refined.controls, chargers.index(left_out))
+    return refine_node(setting, node, starts)
 
 
 def rescue_node(setting: Setting, node: Node, deadline: float = inf) -> Node:

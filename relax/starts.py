@@ -25,6 +25,7 @@ __all__ = [
     "further_starts",
     "relaxed_start",
     "split_starts",
+    "thinned_starts",
     "warm_start",
 ]
 
@@ -186,4 +187,29 @@ def split_starts(instance: Instance, controls: Controls) -> list[Controls]:
             ),
         )
         for most in range(count)
+    ]
+
+
+def thinned_starts(controls: Controls, stop: int) -> list[Controls]:
+    """Return starts without one stop: those before and after it carry its energy, one at a time.
+
+    Parameters
+    ----------
+    controls : Controls
+        Of a plan that uses the stop.
+    stop : int
+        Its place among the plan's stops.
+    """
+    rest = [s for i, s in enumerate(controls.stops) if i != stop]
+    energy = controls.stops[stop].energy_kwh
+    heirs = {max(stop - 1, 0), min(stop, len(rest) - 1)} if rest else set()
+    return [
+        replace(
+            controls,
+            stops=tuple(
+                replace(s, energy_kwh=s.energy_kwh + energy) if i == heir else s
+                for i, s in enumerate(rest)
+            ),
+        )
+        for heir in sorted(heirs)
     ]

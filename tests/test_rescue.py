@@ -12,12 +12,12 @@ from trips import small_trip
 from benchmarks.random_trips import random_trip
 from enumerate import Outcome, plan
 from enumerate.ledger import Row
-from enumerate.tasks import Node, Setting, rescue_node
-from relax import make_instance, refine, simulate
+from enumerate.tasks import Node, Setting, refine_node, refine_thinned, rescue_node
+from relax import idle_controls, load_trip, make_instance, refine, simulate
 from relax.bound import relax_subset
 from relax.instance import make_drive
 from relax.refinement import Refined, RefineSettings, _descend, best_of, is_feasible
-from relax.starts import best_start, even_start, further_starts
+from relax.starts import best_start, even_start, further_starts, thinned_starts
 
 FOUND = {
     157: "full at the start, on a pass",
@@ -128,3 +128,30 @@ def test_if_every_plan_is_refused_those_of_further_starts_count(
     result = plan(replace(trip, chargers=trip.chargers[:1]))
     rows = [r for r in result.ledger.rows if r.outcome is Outcome.PLANNED]
     assert result.replay is not None and len(rows) == 1
+
+
+def test_without_a_stop_its_neighbours_carry_its_energy() -> None:
+    instance = make_instance(load_trip("paper-400km"), (0, 1, 2))
+    controls = idle_controls(instance, (5.0, 7.0, 11.0))
+    energies = [
+        [[s.energy_kwh for s in c.stops] for c in thinned_starts(controls, out)] for out in range(3)
+    ]
+    assert energies == [[[12.0, 11.0]], [[12.0, 11.0], [5.0, 18.0]], [[5.0, 18.0]]]
+    one = idle_controls(make_instance(load_trip("paper-400km"), (1,)), (5.0,))
+    assert thinned_starts(one, 0) == []
+
+
+@pytest.mark.parametrize("left_out", [0, 1, 2])
+def test_a_subset_is_planned_from_the_plan_of_one_charger_more(left_out: int) -> None:
+    trip = load_trip("paper-400km", overrides={"start.soc": 0.8})
+    setting = Setting(trip, make_drive(trip, trip.grid.step_km), trip.grid, RefineSettings())
+    rest = tuple(c for c in range(3) if c != left_out)
+    more, alone = (
+        refine_node(setting, Node(Row(subset, Outcome.UNPROVED)), starts=None)
+        for subset in ((0, 1, 2), rest)
+    )
+    found = refine_thinned(setting, Node(Row(rest, Outcome.UNPROVED)), more)
+    assert found.row.outcome is Outcome.PLANNED and found.row.subset == rest
+    assert found.row.cost == pytest.approx(alone.row.cost, rel=0.01)
+    again = refine_thinned(setting, alone, more)
+    assert again.row.cost <= alone.row.cost
