@@ -27,6 +27,7 @@ __all__ = [
     "envelope_stop_loss_under",
     "envelope_table_over",
     "make_charge_grid",
+    "range_of_planes",
 ]
 
 Array = npt.NDArray[np.float64]
@@ -243,6 +244,24 @@ def envelope_charge_time_under(
     low = np.stack([_above(least, e, t, *s).min(axis=(1, 2)) for s in zip(s_e, s_t, strict=True)])
     size = inverse[row, i, j]
     return np.stack([s_e, s_t, low - SAFETY * (size + np.abs(low))], axis=1)
+
+
+def range_of_planes(planes: Array, grid: ChargeGrid) -> Interval:
+    """Return the range of every plane in (E, T) on its box, shape (m, c).
+
+    Parameters
+    ----------
+    planes : ndarray, shape (m, 3, c)
+        Slopes and offset.
+    grid : ChargeGrid
+        Table cells of the boxes.
+    """
+    s_e, s_t, s_0 = planes.swapaxes(0, 1)
+    e = s_e * grid.energy[:, 0], s_e * grid.energy[:, -1]
+    t = s_t * grid.temp[:, 0], s_t * grid.temp[:, -1]
+    lo, hi = s_0 + np.minimum(*e) + np.minimum(*t), s_0 + np.maximum(*e) + np.maximum(*t)
+    room = SAFETY * (np.abs(s_0) + np.abs(lo) + np.abs(hi))
+    return Interval(lo - room, hi + room)
 
 
 def _between(values: Array) -> Array:

@@ -16,46 +16,17 @@ import numpy.typing as npt
 from relax.box import Box, Cell
 from relax.instance import MIN_CHARGE_KWH, Instance
 from relax.intervals import EMPTY_MARGIN, Interval, range1, range2
-from relax.physics import battery_power, heat_pump_power
+from relax.physics import battery_power
+from relax.reach_heat import pump_limits, temperatures
 
-__all__ = ["COOLING_SLACK_K", "FULL_SLACK_KWH", "make_box", "may_fill", "propagate", "pump_limits"]
+__all__ = ["FULL_SLACK_KWH", "make_box", "may_fill", "propagate"]
 
 Array = npt.NDArray[np.float64]
 
-COOLING_SLACK_K = 0.01
-"""How far below its temperature cooling may take a step: the simulation's own tolerance [K]."""
 FULL_SLACK_KWH = 1e-6
 """How far below the largest energy a battery counts as full: more than rounding [kWh]."""
 ROUNDS = 3
 """Sweeps of ``make_box``; a fourth changes the bound by less than 0.01 % on the paper trip."""
-
-
-def pump_limits(instance: Instance, demand: Array, cop: Interval) -> tuple[Array, Array, Array]:
-    """Return the largest compressor power, the largest heat and the largest heat drawn.
-
-    Parameters
-    ----------
-    instance : Instance
-        Its vehicle's heat pump.
-    demand : ndarray
-        Cabin heating demand q, which the heat may not exceed [kW].
-    cop : Interval
-        Coefficient of performance at vanishing power.
-
-    Returns
-    -------
-    tuple of ndarray
-        hp_hi, h_hi and (h - hp)_hi, all >= 0 [kW].
-    """
-    vehicle = instance.vehicle
-    droop, most = vehicle.heat_pump_droop_per_kw, vehicle.heat_pump_kw
-    best = most if droop * most <= 0.5 else 0.5 / droop
-    heat = np.minimum(demand, np.maximum(cop.hi, 0.0) * best * (1.0 - droop * best))
-    power = np.full(demand.shape, most)
-    if droop * most <= 0.5 and np.all(cop.lo > 0.0):  # h grows with hp: h <= q bounds hp
-        power = np.minimum(power, heat_pump_power(demand, cop.lo, droop))
-    drawn = heat * np.maximum(0.0, 1.0 - 1.0 / np.maximum(cop.hi, 1.0))
-    return power, heat, drawn
 
 
 def _least(start: Array, cap: Array, used: Array) -> Array:
@@ -215,155 +186,6 @@ def _energies(instance: Instance, box: Box, power: Interval, charge_hi: Array) -
     }
 
 
-def _temperatures(
-    instance: Instance, box: Box, heat: Interval, cell_power: Array
-) -> dict[str, Any]:
-    """Forward and backward temperature intervals along the chain of segments and stops."""
-    drive, stops = instance.drive, instance.stops
-    borders = [0, *(s.node for s in stops), drive.n_steps]
-    node = Interval(box.temperature.lo.copy(), box.temperature.hi.copy())
-    cell = Interval(box.stop_temperature.lo.copy(), box.stop_temperature.hi.copy())
-    rate = instance.vehicle.pack.heat_capacity_kwh_per_k / drive.duration_h
-    half = 0.5 * drive.heat_loss_kw_per_k
-    factor = (rate - half) / (rate + half)
-    drift = drive.heat_loss_kw_per_k * drive.ambient_c
-    vehicle = instance.vehicle
-    cooled = vehicle.cooling_cop * vehicle.cooling_kw / (rate + half)
-    floor = vehicle.cooling_from_c - COOLING_SLACK_K if vehicle.cooling_kw > 0.0 else np.inf
-    steps = _Steps(
-        factor.tolist(),
-        ((heat.lo + drift) / (rate + half)).tolist(),
-        ((heat.hi + drift) / (rate + half)).tolist(),
-        cooled.tolist(),
-        floor,
-    )
-    after = Interval(box.after_temperature.lo.copy(), box.after_temperature.hi.copy())
-    usable = ~box.unusable
-    t0, t1 = float(node.lo[0]), float(node.hi[0])
-    drifts = _stop_drifts(instance, box, cell_power)
-    for i in range(len(stops) + 1):
-        a, b = borders[i], borders[i + 1]
-        if b > a:
-            t0, t1 = steps.forward(node, a, b, t0, t1)
-        if i < len(stops):
-            cold, warm = drifts[i]
-            ambient = stops[i].ambient_c
-            cell.lo[i, 0], cell.hi[i, 0] = max(cell.lo[i, 0], t0), min(cell.hi[i, 0], t1)
-            cell.lo[i, 1:] = np.maximum(cell.lo[i, 1:], min(t0, ambient, floor) - cold)
-            cell.hi[i, 1:] = np.minimum(cell.hi[i, 1:], max(t1, ambient) + warm)
-            low, high = float(cell.lo[i, -1]), float(cell.hi[i, -1])
-            if stops[i].optional:
-                low = min(low, t0) if usable[i] else t0
-                high = max(high, t1) if usable[i] else t1
-            after.lo[i] = t0 = max(float(after.lo[i]), low)
-            after.hi[i] = t1 = min(float(after.hi[i]), high)
-    t0, t1 = -np.inf, np.inf  # after a stop at the destination nothing is known
-    for i in range(len(stops), -1, -1):
-        a, b = borders[i], borders[i + 1]
-        if b > a:
-            if i < len(stops):
-                node.lo[b] = t0 = max(t0, float(node.lo[b]))
-                node.hi[b] = t1 = min(t1, float(node.hi[b]))
-            t0, t1 = steps.backward(node, a, b, i == 0)
-        if i > 0:
-            cold, warm = drifts[i - 1]
-            ambient = stops[i - 1].ambient_c
-            last = cell.lo[i - 1], cell.hi[i - 1]
-            after.lo[i - 1] = t0 = max(float(after.lo[i - 1]), t0)
-            after.hi[i - 1] = t1 = min(float(after.hi[i - 1]), t1)
-            last[0][-1], last[1][-1] = max(last[0][-1], t0), min(last[1][-1], t1)
-            # the stop warms by at most ``warm`` unless ambient does
-            if last[0][-1] - warm > ambient:
-                last[0][:-1] = np.maximum(last[0][:-1], last[0][-1] - warm)
-            if last[1][-1] + cold < min(ambient, floor):
-                last[1][:-1] = np.minimum(last[1][:-1], last[1][-1] + cold)
-            low, high = float(last[0][0]), float(last[1][0])
-            if stops[i - 1].optional:
-                low = min(low, t0) if usable[i - 1] else t0
-                high = max(high, t1) if usable[i - 1] else t1
-            t0, t1 = low, high
-    return {
-        "temperature": node.outward(),
-        "stop_temperature": cell.outward(),
-        "after_temperature": after.outward(),
-    }
-
-
-class _Steps:
-    """Temperature intervals from step to step: T' = factor * T + gain, less what cooling takes.
-
-    Plain floats: a recursion of a few hundred steps with a case in it.
-    """
-
-    def __init__(
-        self,
-        factor: list[float],
-        gain_lo: list[float],
-        gain_hi: list[float],
-        cooled: list[float],
-        floor: float,
-    ) -> None:
-        self.factor, self.gain_lo, self.gain_hi = factor, gain_lo, gain_hi
-        self.cooled, self.floor = cooled, floor
-        self.usable = min(factor, default=1.0) > 0.0
-
-    def forward(self, node: Interval, a: int, b: int, t0: float, t1: float) -> tuple[float, float]:
-        """Tighten the nodes a + 1 .. b; return the interval at b."""
-        if not self.usable:
-            return float(node.lo[b]), float(node.hi[b])
-        lo, hi = node.lo[a + 1 : b + 1].tolist(), node.hi[a + 1 : b + 1].tolist()
-        for j, k in enumerate(range(a, b)):
-            t1 = min(hi[j], self.factor[k] * t1 + self.gain_hi[k])
-            t0 = self.factor[k] * t0 + self.gain_lo[k]
-            if t0 > self.floor:  # cooling ends no step below its floor
-                t0 = max(self.floor, t0 - self.cooled[k])
-            t0 = max(lo[j], t0)
-            lo[j], hi[j] = t0, t1
-        node.lo[a + 1 : b + 1], node.hi[a + 1 : b + 1] = lo, hi
-        return t0, t1
-
-    def backward(self, node: Interval, a: int, b: int, first: bool) -> tuple[float, float]:
-        """Tighten the nodes b - 1 .. a + 1 (and a if ``first``); return the start of step a."""
-        t0, t1 = float(node.lo[b]), float(node.hi[b])
-        if not self.usable:
-            return -np.inf, np.inf
-        lo, hi = node.lo.tolist(), node.hi.tolist()
-        for k in range(b - 1, a - 1, -1):
-            taken = self.cooled[k] if t1 > self.floor else 0.0
-            t1 = (t1 - self.gain_lo[k] + taken) / self.factor[k]
-            t0 = (t0 - self.gain_hi[k]) / self.factor[k]
-            if k > a or first:
-                lo[k] = t0 = max(t0, lo[k])
-                hi[k] = t1 = min(t1, hi[k])
-        node.lo[:], node.hi[:] = lo, hi
-        return t0, t1
-
-
-def _stop_drifts(instance: Instance, box: Box, cell_power: Array) -> list[tuple[float, float]]:
-    """Largest fall and rise within every stop, beside cooling and exchange with ambient [K]."""
-    stops, vehicle = instance.stops, instance.vehicle
-    if not stops:
-        return []
-    pack, capacity = vehicle.pack, vehicle.pack.heat_capacity_kwh_per_k
-    temp, out = box.cell_temperature, np.array([s.detour_out_kwh for s in stops])
-    energy = Interval(box.arrive.lo, box.leave.hi + out)
-    cop = range1(vehicle.heat_pump_cop, temp)
-    q = np.empty(temp.lo.shape)
-    q[...] = np.array([s.cabin_heat_kw for s in stops])[:, None]
-    pump, _, drawn = pump_limits(instance, q, cop)
-    gain = np.minimum(0.0, cop.lo * (1.0 - vehicle.heat_pump_droop_per_kw * pump) - 1.0)
-    r = range1(pack.resistance_ohm, temp).hi / range1(pack.voltage_squared, energy).lo[:, None]
-    loss = (r * cell_power).sum(axis=1) * box.charge.hi / instance.cells
-    longest = box.stay.hi
-    fall = drawn.max(axis=1) * longest
-    warm = vehicle.heater_battery_efficiency * vehicle.heater_kw - (gain * pump).min(axis=1)
-    rise = loss + np.maximum(warm, 0.0) * longest
-    # where the exchange is too fast a cell may overshoot ambient
-    slow = np.array([0.5 * s.heat_loss_kw_per_k for s in stops]) * longest < capacity
-    fall, rise = np.where(slow, fall / capacity, np.inf), np.where(slow, rise / capacity, np.inf)
-    return list(zip(fall.tolist(), rise.tolist(), strict=True))
-
-
 def propagate(instance: Instance, box: Box) -> Box:
     """Return the box after one forward and backward sweep: never larger, still valid.
 
@@ -400,7 +222,7 @@ def propagate(instance: Instance, box: Box) -> Box:
         dwell=dwell.outward(),
         stay=stay.outward(),
         **_energies(instance, box, power, charge_hi),
-        **_temperatures(instance, box, heat, cell_power),
+        **temperatures(instance, box, power, heat, cell_power),
     )
 
 

@@ -17,7 +17,8 @@ from relax.envelopes import (
 from relax.envelopes_charge import envelope_table_over
 from relax.intervals import Interval, range1, range2
 from relax.program import Term
-from relax.reach import COOLING_SLACK_K, may_fill, pump_limits
+from relax.reach import may_fill
+from relax.reach_heat import COOLING_SLACK_K, pump_limits
 from relax.relaxation_model import Array, Model, middle, pick, pump_planes
 
 __all__ = ["FLOOR_WIDTH_K", "LEAST_RESISTANCE_OHM", "add_drive"]

@@ -17,10 +17,11 @@ from relax.envelopes_charge import (
     envelope_stop_loss_over,
     envelope_stop_loss_under,
     make_charge_grid,
+    range_of_planes,
 )
 from relax.intervals import Interval, range1
 from relax.program import Term
-from relax.reach import COOLING_SLACK_K, pump_limits
+from relax.reach_heat import COOLING_SLACK_K, pump_limits
 from relax.relaxation_drive import LEAST_RESISTANCE_OHM
 from relax.relaxation_model import Array, Index, Model, middle, pick, pump_planes, stack
 
@@ -182,11 +183,13 @@ def _add_charge_time(model: Model, tables: ChargeGrid) -> None:
     w_lo = box.charge.lo[:, None]
     w_hi = np.maximum(box.charge.hi[:, None], w_lo)  # crossed where a stop cannot be used
     power = tables.power_range
-    s_e, s_t, s_0 = envelope_charge_time_under(tables).reshape(-1, 3, *shape).swapaxes(0, 1)
+    planes = envelope_charge_time_under(tables)
+    s_e, s_t, s_0 = planes.reshape(-1, 3, *shape).swapaxes(0, 1)
     least = 1.0 / np.maximum(power.hi.reshape(shape), 1e-6) * (1.0 - 1e-9)
     # the limit is at least e / y, so 1 / limit is at most y / e
     most = np.minimum(1.0 / np.maximum(power.lo.reshape(shape), 1e-6), K * box.dwell.hi / w_lo)
-    most = most * (1.0 + 1e-9)
+    # a plane below 1 / limit may also stand for it: it is at most its own largest value
+    most = np.minimum(most * (1.0 + 1e-9), range_of_planes(planes, tables).hi.reshape(-1, *shape))
     for name, at, slope in (("time from below", w_lo, least), ("time from above", w_hi, most)):
         a, b = at / K * s_e, at / K * s_t
         rows.less(
@@ -225,7 +228,9 @@ def _add_stop_loss(model: Model, tables: ChargeGrid, rho: Array, rho_range: Inte
     t0, t1, c = v["border"][:, :-1], v["border"][:, 1:], (np.arange(K) + 0.5) / K
     w_lo, w_hi = box.charge.lo[:, None], box.charge.hi[:, None]
     s_e, s_t, s_0 = rho.reshape(-1, 3, *shape).swapaxes(0, 1)
-    lo, hi = rho_range.lo.reshape(shape), rho_range.hi.reshape(shape)
+    # likewise a plane above rho is at least its own least value
+    lo = np.maximum(rho_range.lo, range_of_planes(rho, tables).lo).reshape(-1, *shape)
+    hi = rho_range.hi.reshape(shape)
     for name, at, slope in (("stop loss low", w_lo, hi), ("stop loss high", w_hi, lo)):
         a = at / K * s_e
         rows.less(

@@ -32,10 +32,12 @@ from relax.envelopes_charge import (
     envelope_stop_loss_under,
     envelope_table_over,
     make_charge_grid,
+    range_of_planes,
 )
 from relax.instance import Instance, Stop
 from relax.intervals import Interval, range1, range2
-from relax.reach import COOLING_SLACK_K, FULL_SLACK_KWH, pump_limits
+from relax.reach import FULL_SLACK_KWH
+from relax.reach_heat import COOLING_SLACK_K, pump_limits
 from relax.relaxation_drive import FLOOR_WIDTH_K
 from relax.relaxation_stops import STOP_TEMPERATURES
 
@@ -229,10 +231,11 @@ def _stop_rows(
     least = 1.0 / np.maximum(power.hi, 1e-6) * (1.0 - 1e-9)
     longest = np.minimum(1.0 / np.maximum(power.lo, 1e-6), K * dwell.hi / w[0]) * (1.0 + 1e-9)
     rho, rho_range = envelope_stop_loss_over(tables)
-    for tau in envelope_charge_time_under(tables):
+    planes = envelope_charge_time_under(tables)
+    for tau, most_tau in zip(planes, range_of_planes(planes, tables).hi, strict=True):
         value = cp.multiply(tau[0], E) + cp.multiply(tau[1], T) + tau[2]
         rows += [y >= (w[0] * value + (W - w[0]) * least) / K]
-        rows += [y >= (w[1] * value + (W - w[1]) * longest) / K]
+        rows += [y >= (w[1] * value + (W - w[1]) * np.minimum(longest, most_tau)) / K]
     rows += _above(p, envelope_limit_over(tables.power, tables.energy, tables.temp), E, T)
     slope = (np.sqrt(w[1]) - np.sqrt(w[0])) / max(w[1] - w[0], 1e-9)
     chord = slope * W + ((np.sqrt(w[0]) - slope * w[0]) * (1.0 - 1e-9) - 1e-9)
@@ -240,10 +243,10 @@ def _stop_rows(
     p_0 = np.maximum(0.5 * power.hi, 1.0)
     rows += _rotated(cp.multiply(K * p_0, y), cp.multiply(1.0 / p_0, p), chord * one)
     # loss: l <= e * rho(E, T) from above, cone and planes from below
-    for u in rho:
+    for u, least_u in zip(rho, range_of_planes(rho, tables).lo, strict=True):
         value = cp.multiply(u[0], E) + cp.multiply(u[1], T) + u[2]
         rows += [loss <= (w[0] * value + (W - w[0]) * rho_range.hi) / K]
-        rows += [loss <= (w[1] * value + (W - w[1]) * rho_range.lo) / K]
+        rows += [loss <= (w[1] * value + (W - w[1]) * np.maximum(rho_range.lo, least_u)) / K]
     square_hi = 1.0 / tables.inverse_square.min(axis=1)
     middle = np.minimum(tables.power, tables.grid_power[:, :, None])[:, tables.energy.shape[1] // 2]
     wanted = temp.lo + np.array(STOP_TEMPERATURES)[:, None] * temp.width

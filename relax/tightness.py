@@ -17,7 +17,7 @@ from relax.instance import Instance
 from relax.maps import Table1, Table2
 from relax.physics import heat_pump_heat
 from relax.program import ConeProgram
-from relax.reach import COOLING_SLACK_K
+from relax.reach_heat import COOLING_SLACK_K
 
 __all__ = ["LossWorth", "TermTightness", "measure_loss_worth", "measure_tightness"]
 

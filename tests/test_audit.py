@@ -87,7 +87,7 @@ def test_an_infeasible_trip_is_confirmed_infeasible(tmp_path: Path) -> None:
 def test_an_infeasibility_that_takes_cuts_is_confirmed(tmp_path: Path) -> None:
     """Just beyond what can be had at the end: no root excludes it, parts of its box do."""
     trip = load_trip("paper-400km")
-    trip = dataclasses.replace(trip, chargers=trip.chargers[1:2], end_soc_min=0.4687)
+    trip = dataclasses.replace(trip, chargers=trip.chargers[1:2], end_soc_min=0.467)
     assert plan(trip).status is Status.UNKNOWN
     result = plan(trip, gap=0.05, keep_proofs=True)
     assert result.status is Status.INFEASIBLE and len(result.proofs) > 2

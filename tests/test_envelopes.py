@@ -22,6 +22,7 @@ from relax.envelopes import (
     nodes,
 )
 from relax.envelopes_charge import (
+    ChargeGrid,
     envelope_charge_time_under,
     envelope_grid_limit_over,
     envelope_limit_over,
@@ -29,6 +30,7 @@ from relax.envelopes_charge import (
     envelope_stop_loss_under,
     envelope_table_over,
     make_charge_grid,
+    range_of_planes,
 )
 from relax.intervals import Interval, grid_values, range1, range2
 from relax.maps import Table1, Table2
@@ -153,7 +155,9 @@ def charging(case: Case, term: str) -> Built:
     if term == "table":
         return "over", power, envelope_table_over(case.limit, e, t), x
     if term == "time":
-        return "under", 1.0 / power, envelope_charge_time_under(tables), x
+        planes = envelope_charge_time_under(tables)
+        check_ranges(planes, tables, (e, t), x)
+        return "under", 1.0 / power, planes, x
     if term == "grid":
         y = case.box(0.0, 1.5)
         x = x[0], case.inside(y)
@@ -164,7 +168,26 @@ def charging(case: Case, term: str) -> Built:
     r = r / np.interp(x[0], case.square.x, case.square.f)
     rho = r * np.minimum(power, np.interp(x[0], case.charger.x, case.charger.f))
     assert (rho <= bounds.hi).all() and (rho >= bounds.lo).all()
+    check_ranges(planes, tables, (e, t), x)
     return "over", rho, planes, x
+
+
+def check_ranges(
+    planes: Array, tables: ChargeGrid, box: tuple[Interval, Interval], x: tuple[Array, Array]
+) -> None:
+    """The range of a plane holds its values on the box and is attained at corners."""
+    found = range_of_planes(planes, tables)
+
+    def at(e: Array, t: Array) -> Array:
+        return planes[:, :1] * e + planes[:, 1:2] * t + planes[:, 2:3]
+
+    values = at(*x)
+    assert (values <= found.hi[:, None]).all() and (values >= found.lo[:, None]).all()
+    e, t = ([b.lo, b.hi] for b in box)
+    corners = at(np.stack([e[0], e[0], e[1], e[1]]), np.stack([t[0], t[1], t[0], t[1]]))
+    size = np.abs(corners).max() + np.abs(planes[:, 2]).max()
+    assert corners.max(axis=1) == pytest.approx(found.hi, abs=1e-8 * size)
+    assert corners.min(axis=1) == pytest.approx(found.lo, abs=1e-8 * size)
 
 
 def stop_loss_under(case: Case) -> Built:

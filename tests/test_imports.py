@@ -54,6 +54,7 @@ SUGGESTS = {"relax.refinement", "relax.quadratic", "relax.expansion", "relax.sta
 PROVES = {
     "relax/box.py",
     "relax/reach.py",
+    "relax/reach_heat.py",
     "relax/intervals.py",
     "relax/envelopes.py",
     "relax/envelopes_charge.py",

@@ -152,7 +152,7 @@ def test_both_parts_of_a_split_cover_the_cell(done: StageGraph, family: Instance
         cell = graph.vertices[number].cell
         lo, hi = cell.energy
         into, out = len(graph.vertices[number].into), len(graph.vertices[number].out)
-        graph.apply(StageStep("split", number, sign=0, value=lo + value * (hi - lo)))
+        graph.apply(StageStep("split", number, sign=0, value=min(lo + value * (hi - lo), hi)))
         first, second = [*graph.vertices.values()][-2:]
         assert (first.cell.energy[0], second.cell.energy[1]) == (lo, hi)
         assert first.cell.energy[1] == second.cell.energy[0]

@@ -1,0 +1,118 @@
+"""How cold a battery can get: never warmer than said, and nearly as cold as it was driven."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from trips import small_trip
+
+from relax import idle_controls, load_trip, make_instance, simulate
+from relax.instance import Instance
+from relax.intervals import Interval
+from relax.maps import Table1
+from relax.plan import Controls
+from relax.reach import make_box
+from relax.reach_heat import _fallen, _steepest
+from relax.trip import Trip
+
+
+def coldest(instance: Instance, energy_kwh: float = 10.0) -> Controls:
+    """Heat pump and cooling at full power, the heater off."""
+    vehicle = instance.vehicle
+    controls = idle_controls(instance, (energy_kwh,) * len(instance.stops))
+    full = np.full(instance.cells, vehicle.heat_pump_kw)
+    cool = np.full(instance.cells, vehicle.cooling_kw)
+    return replace(
+        controls,
+        heat_pump_kw=np.full(instance.drive.n_steps, vehicle.heat_pump_kw),
+        cooling_kw=np.full(instance.drive.n_steps, vehicle.cooling_kw),
+        stops=tuple(
+            replace(s, heat_pump_kw=full, cooling_kw=cool, power_kw=np.full(instance.cells, 15.0))
+            for s in controls.stops
+        ),
+    )
+
+
+@pytest.mark.parametrize("pump_kw", [0.0, 1.0, 3.0])
+@pytest.mark.parametrize("ambient_c", [-10.0, 0.0, 20.0])
+def test_the_lower_end_is_near_the_coldest_drive(pump_kw: float, ambient_c: float) -> None:
+    changes = {"route.ambient_c": ambient_c, "vehicle.heat_pump_kw": pump_kw}
+    instance = make_instance(load_trip("paper-400km", overrides=changes), (1, 2))
+    box, driven = make_box(instance), simulate(instance, coldest(instance))
+    first = instance.stops[0].node + 1
+    above = driven.temperature_c[:first] - box.temperature.lo[:first]
+    assert above.min() >= -1e-6
+    assert above.max() < 3.0  # with the heat drawn from a warm battery it was up to 19 K
+
+
+@pytest.mark.parametrize("step_km", [2.0, 15.0, 60.0])
+@pytest.mark.parametrize("capacity", [0.02, 0.09])
+def test_no_drive_is_colder_than_the_box(step_km: float, capacity: float) -> None:
+    """Also where steps are so long that a step's end moves fast with its midpoint."""
+    steep = Table1([-40.0, -20.0, 0.0, 10.0, 20.0, 60.0], [0.9, 1.1, 2.4, 4.0, 6.5, 6.0])
+    rng, held = np.random.default_rng(7), 0
+    for start in (-20.0, 0.0, 25.0, 38.0):
+        trip = small_trip(
+            start_temperature_c=start, grid__step_km=step_km,
+            pack__heat_capacity_kwh_per_k=capacity, vehicle__heat_pump_cop=steep,
+            vehicle__heat_pump_kw=3.0,
+        )  # fmt: skip
+        instance = make_instance(trip, (0, 1))
+        box = make_box(instance)
+        for scale in (0.0, 0.3, 1.0):
+            controls = coldest(instance)
+            heater = scale * rng.uniform(0.0, 6.0, instance.drive.n_steps)
+            cooling = rng.choice([0.0, 2.0], instance.drive.n_steps)
+            driven = simulate(instance, replace(controls, heater_kw=heater, cooling_kw=cooling))
+            stops = np.stack([s.temperature_c for s in driven.stops])
+            if not driven.violation.any():
+                held += 1
+                assert np.all(driven.temperature_c >= box.temperature.lo - 1e-6)
+                assert np.all(stops >= box.stop_temperature.lo - 1e-6)
+    assert held >= 3
+
+
+def _cell(start: float, dwell_h: float, trip: Trip, instance: Instance) -> float:
+    """End of a cell that only loses heat: implicit midpoint, by bisection."""
+    vehicle, stop = trip.vehicle, instance.stops[0]
+    per_cop = vehicle.heat_pump_kw * (1.0 - vehicle.heat_pump_droop_per_kw * vehicle.heat_pump_kw)
+
+    def flow(at: float) -> float:
+        cop = float(np.interp(at, vehicle.heat_pump_cop.x, vehicle.heat_pump_cop.f))
+        drawn = max(min(stop.cabin_heat_kw, cop * per_cop) * (1.0 - 1.0 / cop), 0.0)
+        return stop.heat_loss_kw_per_k * (stop.ambient_c - at) - drawn
+
+    lo, hi = start - 500.0, start + 50.0
+    for _ in range(80):
+        end = 0.5 * (lo + hi)
+        moved = start + dwell_h * flow(0.5 * (start + end)) / vehicle.pack.heat_capacity_kwh_per_k
+        lo, hi = (end, hi) if moved > end else (lo, end)
+    return end
+
+
+@pytest.mark.parametrize("cop", [(1.4, 1.8, 2.4, 4.0), (3.0, 1.2, 6.0, 2.0)])
+def test_a_stop_falls_no_further_than_said(cop: tuple[float, ...]) -> None:
+    """However its time is spread over the cells, also over one whose midpoint lies far above."""
+    rng = np.random.default_rng(3)
+    table = Table1([-200.0, -10.0, 5.0, 60.0], cop)
+    trip = small_trip(vehicle__heat_pump_cop=table, vehicle__heat_pump_kw=3.0)
+    instance = make_instance(trip, (0,))
+    nearest = np.inf
+    for _ in range(400):
+        low, stay = rng.uniform(-20.0, 20.0), rng.choice([0.05, 0.3, 1.0, 3.0])
+        top = low + rng.choice([0.0, 5.0, 40.0])
+        said = _fallen(instance, 0, stay, low, top)
+        temp = rng.uniform(low, top)
+        for part in rng.dirichlet(np.full(rng.choice([1, 3, 12]), 0.5)):
+            temp = _cell(temp, stay * part, trip, instance)
+            assert temp >= said - 1e-6
+        nearest = min(nearest, temp - said)
+    assert nearest < 0.5  # and it is no more than that either
+
+
+def test_the_steepest_slope_is_that_of_the_interval() -> None:
+    table = Table1([0.0, 1.0, 2.0, 4.0], [0.0, 3.0, 2.0, 2.0])
+    where = Interval(np.array([0.2, 1.5, 2.5, -3.0]), np.array([0.4, 3.0, 3.5, 9.0]))
+    assert _steepest(table, where).tolist() == [3.0, 1.0, 0.0, 3.0]
