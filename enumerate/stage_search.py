@@ -46,8 +46,8 @@ NEAR = 0.04
 """Share of the cost that is missing at most where boxes are shrunk: before, that gains little."""
 AGAIN = 0.5
 """Boxes are shrunk again when this share is left of what was missing."""
-WORTH = {"charge": 1.0, "temperature": 3.0, "stop_temperature": 3.0}
-"""Intervals narrower than this are not bounded [kWh, K]."""
+WORTH = {"charge": 1.0, "stay": 0.05, "temperature": 3.0, "stop_temperature": 3.0}
+"""Intervals narrower than this are not bounded [kWh, h, K]."""
 CELL_UNIT = (3.0, 20.0)
 """Widths of cells that count alike when the quantity to cut is chosen [kWh, K]."""
 BOX_UNIT = {"charge": 6.0, "stay": 0.3, "arrival": 16.0, "middle": 20.0}
@@ -393,6 +393,8 @@ def _quantities(arc: Arc) -> list[tuple[Target, tuple[int, ...]]]:
     """Return what is bounded in a stage, and from which sides."""
     assert arc.box is not None
     out: list[tuple[Target, tuple[int, ...]]] = []
+    if arc.box.optional.size:
+        out.append((Target("stay", 0, "dwell"), (-1,)))
     middle = _middle(arc)
     if middle is not None:
         out.append((middle, (-1,)))

@@ -32,9 +32,15 @@ Worths = Mapping[str, tuple[float, float]]
 
 SETTINGS = SolveSettings(tolerance=1e-4)
 """Bounds are safe whatever the tolerance; a looser one changes them by less than 0.01 %."""
-WORTH = {"charge": (0.5, 0.5), "temperature": (np.inf, 3.0), "stop_temperature": (np.inf, 3.0)}
-"""A lower or upper bound problem is solved if it can gain at least this [kWh, K]: a battery
-that might be too warm loosens the heat pump and the charge limit."""
+WORTH = {"charge": (np.inf, 0.5), "stay": (np.inf, 0.05), "temperature": (np.inf, 3.0),
+         "stop_temperature": (np.inf, 3.0)}  # fmt: skip
+"""A lower or upper bound problem is solved if it can gain at least this [kWh, h, K]: a battery
+that might be too warm loosens the heat pump and the charge limit, and one that might stay long
+may get cold. Least charges follow from the largest of the other stops."""
+FAMILY_WORTH = {"charge": (np.inf, 20.0), "stay": (np.inf, 0.5)}
+"""The same for a family, whose programs are large and whose parts inherit what was gained."""
+FAMILY_NEWS = 2
+"""Stays bounded at least before the charges of a family are: else an ancestor has done it."""
 WIDE_CHARGE_KWH = 9.0
 """Stops whose charge is less certain than this are cut before temperatures are bounded: until
 then temperature bounds are loose. From 5 to 13 kWh, 9 took the fewest programs."""
@@ -42,8 +48,8 @@ LEAST_SPLIT = {"charge": 0.5, "stay": 0.02, "temperature": 1.0, "stop_temperatur
 """Intervals narrower than this are not cut [kWh, h, K]."""
 SPLIT_UNIT = {"charge": 3.0, "stay": 0.15, "temperature": 8.0, "stop_temperature": 8.0}
 """Widths that count alike when the quantity to cut is chosen [kWh, h, K]."""
-FINE_WORTH = {"charge": (0.05, 0.05), "temperature": (1.0, 1.0), "stop_temperature": (1.0, 1.0),
-              "dwell": (np.inf, 0.003)}  # fmt: skip
+FINE_WORTH = {"charge": (0.05, 0.05), "dwell": (np.inf, 0.003), "temperature": (1.0, 1.0),
+              "stop_temperature": (1.0, 1.0)}  # fmt: skip
 """The same where little is missing: there every term counts [kWh, K, h]."""
 FINE_SHARE = 0.006
 """Share of the cutoff that is missing at most where quantities are bounded finely."""
@@ -150,9 +156,25 @@ class _Work:
         self.spread()
         self.relax()
 
+    def bound_family(self) -> None:
+        """Bound stays and charges of a family's optional stops, unless that has been done."""
+        box, before = self.proof.box, self.programs
+        for target in _stays(box):
+            self.shrink(target, FAMILY_WORTH)
+        if self.programs < before + FAMILY_NEWS:
+            return
+        for target in _charges(box):
+            self.shrink(target, FAMILY_WORTH)
+        self.spread()
+        self.relax()
+
 
 def _charges(box: Box) -> list[Target]:
     return [Target("charge", i, "charge") for i in range(box.optional.size)]
+
+
+def _stays(box: Box) -> list[Target]:
+    return [Target("stay", i, "dwell") for i in range(box.optional.size)]
 
 
 def _legs(instance: Instance) -> list[Target]:
@@ -191,7 +213,7 @@ def _widest(instance: Instance, box: Box) -> Branch | None:
     """Where to cut a box of used stops: the quantity that is widest for its kind."""
     targets = [
         *_charges(box),
-        *(Target("stay", i, "dwell") for i in range(box.optional.size)),
+        *_stays(box),
         *_at_stops(instance),
     ]
     best, choice = 0.0, None
@@ -323,12 +345,15 @@ def _settle(work: _Work, whole: bool) -> Branch | None:
     instance = proof.instance
     assert proof.program is not None
     if proof.box.optional.any():
+        if np.isfinite(proof.cutoff):
+            work.bound_family()
         used = np.where(proof.box.optional, proof.program.value("used", work.x), 1.0)
         return _undecided(proof.box, used)
     if not whole and (wide := _wide_charge(proof.box)):
         return wide
     while not work.late:
         before = proof.bound
+        work.round(_stays(proof.box))
         work.round(_charges(proof.box))
         if wide := _wide_charge(proof.box):
             return wide

@@ -1,0 +1,95 @@
+"""What does each rule of the tightening save? Proofs with one of them left out, in programs.
+
+    python -m benchmarks.tightening [--time-limit S] [CASE ...]
+
+Prints the table of ``docs/relaxation.md``, section 6: cone programs until the whole problem is
+proved to 1 %. A rule is left out by replacing it from outside, for one proof at a time.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from math import inf
+from typing import Any
+from unittest.mock import patch
+
+import numpy as np
+
+from benchmarks.cases import select
+from benchmarks.machine import make_single_threaded
+
+if __name__ == "__main__":
+    make_single_threaded()
+
+from enumerate import plan
+from relax import reach_heat, relaxation_stops, tighten
+from relax.intervals import Interval
+
+__all__ = ["RULES", "main", "without"]
+
+CASES = (
+    "paper/-10C-pump1-time0",
+    "paper/-10C-pump3-time0",
+    "paper/-10C-pump1-time400",
+    "paper/0C-pump1-time40",
+    "corridor/goteborg-stockholm-winter",
+)
+"""Where proofs are long, and one where they are not."""
+TIME_LIMIT_S = 180.0
+
+
+def _worth(name: str, ends: tuple[float, float]) -> Any:
+    return patch.dict(tighten.WORTH, {name: ends})
+
+
+def _wide(planes: Any, grid: Any) -> Interval:
+    size = planes.shape[0], planes.shape[2]
+    return Interval(np.full(size, -inf), np.full(size, inf))
+
+
+RULES: dict[str, Callable[[], Any]] = {
+    "as it is": lambda: patch.dict(tighten.WORTH, {}),
+    "coldest drive": lambda: patch.object(reach_heat._Colder, "end", lambda *_: -inf),
+    "coldest stop": lambda: patch.object(reach_heat, "_fallen", lambda *_: -inf),
+    "stays": lambda: _worth("stay", (inf, inf)),
+    "families": lambda: patch.dict(
+        tighten.FAMILY_WORTH, {"stay": (inf, inf), "charge": (inf, inf)}
+    ),
+    "planes' own extremes": lambda: patch.object(relaxation_stops, "range_of_planes", _wide),
+    "(with least charges too)": lambda: _worth("charge", (0.5, 0.5)),
+}
+"""What is left out, by the heading of its column."""
+
+
+@contextmanager
+def without(rule: str) -> Iterator[None]:
+    """Leave one rule out for as long as the block lasts."""
+    with RULES[rule]():
+        yield
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Prove every case with every rule left out; print a row per case."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("cases", nargs="*", default=list(CASES), metavar="CASE")
+    parser.add_argument("--time-limit", type=float, default=TIME_LIMIT_S, metavar="S")
+    asked = parser.parse_args(arguments)
+    print("| case | " + " | ".join(RULES) + " |")
+    print("|---|" + "---:|" * len(RULES))
+    for case in select(asked.cases):
+        cells = []
+        for rule in RULES:
+            print(f"{case.name}: {rule}", file=sys.stderr)
+            with without(rule):
+                result = plan(case.load(), gap=0.01, time_limit_s=asked.time_limit)
+            late = "" if result.gap <= 0.01 + 1e-9 else f" (gap {100.0 * result.gap:.1f} %)"
+            cells.append(f"{result.programs}{late}")
+        print(f"| `{case.name}` | " + " | ".join(cells) + " |", flush=True)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
