@@ -17,7 +17,7 @@ from relax.box import Box, Cell
 from relax.instance import MIN_CHARGE_KWH, Instance
 from relax.intervals import EMPTY_MARGIN, Interval, range1, range2
 from relax.physics import battery_power
-from relax.reach_heat import pump_limits, temperatures
+from relax.reach_heat import COOLING_SLACK_K, pump_limits, temperatures
 
 __all__ = ["FULL_SLACK_KWH", "make_box", "may_fill", "propagate"]
 
@@ -63,7 +63,8 @@ def _drive_flow(instance: Instance, box: Box) -> tuple[Interval, Interval]:
     pump_hi, heat_hi, drawn_hi = pump_limits(instance, q, cop)
     saved = heat_hi * np.minimum(0.0, 1.0 / np.maximum(cop.hi, 1e-9) - 1.0 / eta_c)
     load_lo = drive.base_kw + q / eta_c + saved
-    load_hi = drive.base_kw + vehicle.heater_kw + vehicle.cooling_kw + pump_hi
+    cools = box.temperature.hi[1:] >= vehicle.cooling_from_c - COOLING_SLACK_K
+    load_hi = drive.base_kw + vehicle.heater_kw + pump_hi + np.where(cools, vehicle.cooling_kw, 0.0)
     out_hi = range2(pack.discharge_limit_kw, energy, temp).hi
     in_range = range2(pack.charge_limit_kw, energy, temp)
     lo = _power(load_lo, r.lo, ripple)
@@ -222,7 +223,7 @@ def propagate(instance: Instance, box: Box) -> Box:
         dwell=dwell.outward(),
         stay=stay.outward(),
         **_energies(instance, box, power, charge_hi),
-        **temperatures(instance, box, power, heat, cell_power),
+        **temperatures(instance, box, power, heat, cell_power, dwell.hi),
     )
 
 

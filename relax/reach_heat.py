@@ -69,7 +69,12 @@ def _heat_per_cop(instance: Instance) -> float:
 
 
 def temperatures(
-    instance: Instance, box: Box, power: Interval, heat: Interval, cell_power: Array
+    instance: Instance,
+    box: Box,
+    power: Interval,
+    heat: Interval,
+    cell_power: Array,
+    dwell_hi: Array,
 ) -> dict[str, Any]:
     """Return the temperature intervals after one sweep forwards and one backwards.
 
@@ -83,6 +88,8 @@ def temperatures(
         Battery power, and heat into the battery but for cooling and ambient [kW].
     cell_power : ndarray, shape (S, K)
         Largest internal charging power of every cell [kW].
+    dwell_hi : ndarray, shape (S, K)
+        Longest dwell of every cell [h].
 
     Returns
     -------
@@ -98,13 +105,13 @@ def temperatures(
     after = Interval(box.after_temperature.lo.copy(), box.after_temperature.hi.copy())
     usable = ~box.unusable
     t0, t1 = float(node.lo[0]), float(node.hi[0])
-    drifts = _stop_drifts(instance, box, cell_power)
+    drifts = _Drifts(instance, box, cell_power, dwell_hi)
     for i in range(len(stops) + 1):
         a, b = borders[i], borders[i + 1]
         if b > a:
             t0, t1 = steps.forward(node, a, b, t0, t1)
         if i < len(stops):
-            cold, warm = drifts[i]
+            cold, warm = drifts.fall[i], drifts.rise[i]
             ambient = stops[i].ambient_c
             cell.lo[i, 0], cell.hi[i, 0] = max(cell.lo[i, 0], t0), min(cell.hi[i, 0], t1)
             cell.hi[i, 1:] = np.minimum(cell.hi[i, 1:], max(t1, ambient) + warm)
@@ -112,6 +119,7 @@ def temperatures(
             fallen = _fallen(instance, i, float(box.stay.hi[i]), first, top)
             fallen = max(fallen, min(t0, ambient, floor) - cold)
             cell.lo[i, 1:] = np.maximum(cell.lo[i, 1:], fallen)
+            drifts.forward(i, cell.lo[i], cell.hi[i], floor)
             low, high = float(cell.lo[i, -1]), float(cell.hi[i, -1])
             if stops[i].optional:
                 low = min(low, t0) if usable[i] else t0
@@ -127,7 +135,7 @@ def temperatures(
                 node.hi[b] = t1 = min(t1, float(node.hi[b]))
             t0, t1 = steps.backward(node, a, b, i == 0)
         if i > 0:
-            cold, warm = drifts[i - 1]
+            cold, warm = drifts.fall[i - 1], drifts.rise[i - 1]
             ambient = stops[i - 1].ambient_c
             last = cell.lo[i - 1], cell.hi[i - 1]
             after.lo[i - 1] = t0 = max(float(after.lo[i - 1]), t0)
@@ -138,6 +146,7 @@ def temperatures(
                 last[0][:-1] = np.maximum(last[0][:-1], last[0][-1] - warm)
             if last[1][-1] + cold < min(ambient, floor):
                 last[1][:-1] = np.minimum(last[1][:-1], last[1][-1] + cold)
+            drifts.backward(i - 1, *last, floor)
             low, high = float(last[0][0]), float(last[1][0])
             if stops[i - 1].optional:
                 low = min(low, t0) if usable[i - 1] else t0
@@ -276,26 +285,55 @@ def _fallen(instance: Instance, i: int, stay: float, low: float, top: float) -> 
     return float(min(low - fall[0], crossing)) - ROUNDING_K
 
 
-def _stop_drifts(instance: Instance, box: Box, cell_power: Array) -> list[tuple[float, float]]:
-    """Largest fall and rise within every stop, beside cooling and exchange with ambient [K]."""
-    stops, vehicle = instance.stops, instance.vehicle
-    if not stops:
-        return []
-    pack, capacity = vehicle.pack, vehicle.pack.heat_capacity_kwh_per_k
-    temp, out = box.cell_temperature, np.array([s.detour_out_kwh for s in stops])
-    energy = Interval(box.arrive.lo, box.leave.hi + out)
-    cop = range1(vehicle.heat_pump_cop, temp)
-    q = np.empty(temp.lo.shape)
-    q[...] = np.array([s.cabin_heat_kw for s in stops])[:, None]
-    pump, _, drawn = pump_limits(instance, q, cop)
-    gain = np.minimum(0.0, cop.lo * (1.0 - vehicle.heat_pump_droop_per_kw * pump) - 1.0)
-    r = range1(pack.resistance_ohm, temp).hi / range1(pack.voltage_squared, energy).lo[:, None]
-    loss = (r * cell_power).sum(axis=1) * box.charge.hi / instance.cells
-    longest = box.stay.hi
-    fall = drawn.max(axis=1) * longest
-    warm = vehicle.heater_battery_efficiency * vehicle.heater_kw - (gain * pump).min(axis=1)
-    rise = loss + np.maximum(warm, 0.0) * longest
-    # where the exchange is too fast a cell may overshoot ambient
-    slow = np.array([0.5 * s.heat_loss_kw_per_k for s in stops]) * longest < capacity
-    fall, rise = np.where(slow, fall / capacity, inf), np.where(slow, rise / capacity, inf)
-    return list(zip(fall.tolist(), rise.tolist(), strict=True))
+class _Drifts:
+    """Largest fall and rise of temperature within every stop, and within each of its cells [K]."""
+
+    def __init__(self, instance: Instance, box: Box, cell_power: Array, dwell_hi: Array) -> None:
+        stops, vehicle, shape = instance.stops, instance.vehicle, cell_power.shape
+        pack, capacity = vehicle.pack, vehicle.pack.heat_capacity_kwh_per_k
+        temp, out = box.cell_temperature, np.array([s.detour_out_kwh for s in stops])
+        energy = Interval(box.arrive.lo, box.leave.hi + out)
+        cop = range1(vehicle.heat_pump_cop, temp)
+        q, ambient, exchange = (
+            np.array([x]).reshape(-1, 1)
+            for x in (
+                [s.cabin_heat_kw for s in stops],
+                [s.ambient_c for s in stops],
+                [s.heat_loss_kw_per_k for s in stops],
+            )
+        )
+        pump, _, drawn = pump_limits(instance, np.broadcast_to(q, shape), cop)
+        gain = np.minimum(0.0, cop.lo * (1.0 - vehicle.heat_pump_droop_per_kw * pump) - 1.0)
+        r = range1(pack.resistance_ohm, temp).hi
+        r = r / range1(pack.voltage_squared, energy).lo[:, None]
+        loss = r * cell_power * box.charge.hi[:, None] / instance.cells
+        warm = vehicle.heater_battery_efficiency * vehicle.heater_kw - gain * pump
+        warm = np.maximum(warm, 0.0)
+        longest = box.stay.hi[:, None]
+        # where the exchange is too fast a cell may overshoot ambient
+        slow = (0.5 * exchange * longest < capacity)[:, 0]
+        fall = drawn.max(axis=1, initial=0.0) * longest[:, 0]
+        rise = loss.sum(axis=1) + warm.max(axis=1, initial=0.0) * longest[:, 0]
+        self.fall = np.where(slow, fall / capacity, inf).tolist()
+        self.rise = np.where(slow, rise / capacity, inf).tolist()
+        pace = np.maximum(dwell_hi, 0.0) / capacity
+        falls = drawn + exchange * np.maximum(temp.hi - ambient, 0.0)
+        rises = warm + exchange * np.maximum(ambient - temp.lo, 0.0)
+        self.cell_fall = (pace * falls + ROUNDING_K).tolist()
+        self.cell_rise = (pace * rises + loss / capacity + ROUNDING_K).tolist()
+        self.cell_cooled = (pace * (vehicle.cooling_cop * vehicle.cooling_kw)).tolist()
+
+    def forward(self, i: int, lo: Array, hi: Array, floor: float) -> None:
+        """Tighten the cell borders of stop i from the first to the last."""
+        low, high = float(lo[0]), float(hi[0])
+        for j, (fall, rise) in enumerate(zip(self.cell_fall[i], self.cell_rise[i], strict=True)):
+            lo[j + 1] = low = max(float(lo[j + 1]), min(low - fall, floor))
+            hi[j + 1] = high = min(float(hi[j + 1]), high + rise)
+
+    def backward(self, i: int, lo: Array, hi: Array, floor: float) -> None:
+        """Tighten them from the last to the first."""
+        low, high = float(lo[-1]), float(hi[-1])
+        for j in reversed(range(len(lo) - 1)):
+            cooled = self.cell_cooled[i][j] if high > floor else 0.0
+            lo[j] = low = max(float(lo[j]), low - self.cell_rise[i][j])
+            hi[j] = high = min(float(hi[j]), high + self.cell_fall[i][j] + cooled)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
-from itertools import combinations
+from itertools import chain, combinations
 from math import comb, inf
 
 import numpy as np
@@ -28,7 +28,7 @@ from relax.refinement import refine
 from relax.relaxation import build_relaxation
 from relax.relaxed_point import lift
 from relax.solve import solve_cone
-from relax.starts import best_start
+from relax.starts import best_start, further_starts
 from relax.tighten import tighten
 from relax.trip import Trip
 
@@ -53,9 +53,11 @@ def plans(kind: str) -> dict[tuple[int, ...], Trajectory]:
             if relaxed.infeasible:
                 continue
             bound = -1e9 if relaxed.lower_bound is None else relaxed.lower_bound
-            found = refine(instance, best_start(instance, relaxed.point, bound))
-            if found.feasible and float(found.trajectory.violation.max()) <= 1e-9:
-                out[subset] = found.trajectory
+            starts = chain([best_start(instance, relaxed.point, bound)], further_starts(instance))
+            for found in (refine(instance, start) for start in starts):
+                if found.feasible and float(found.trajectory.violation.max()) <= 1e-9:
+                    out[subset] = found.trajectory
+                    break
     return out
 
 

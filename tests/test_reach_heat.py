@@ -13,7 +13,7 @@ from relax.instance import Instance
 from relax.intervals import Interval
 from relax.maps import Table1
 from relax.plan import Controls
-from relax.reach import make_box
+from relax.reach import make_box, propagate
 from relax.reach_heat import _fallen, _steepest
 from relax.trip import Trip
 
@@ -116,3 +116,61 @@ def test_the_steepest_slope_is_that_of_the_interval() -> None:
     table = Table1([0.0, 1.0, 2.0, 4.0], [0.0, 3.0, 2.0, 2.0])
     where = Interval(np.array([0.2, 1.5, 2.5, -3.0]), np.array([0.4, 3.0, 3.5, 9.0]))
     assert _steepest(table, where).tolist() == [3.0, 1.0, 0.0, 3.0]
+
+
+def _around(x: np.ndarray, at: slice, lo: np.ndarray, hi: np.ndarray, by: float) -> Interval:
+    lo, hi = lo.copy(), hi.copy()
+    lo[..., at], hi[..., at] = (
+        np.maximum(lo[..., at], x[..., at] - by),
+        np.minimum(hi[..., at], x[..., at] + by),
+    )
+    return Interval(lo, hi)
+
+
+@pytest.mark.parametrize("ambient_c", [-15.0, 10.0, 32.0])
+@pytest.mark.parametrize("seed", range(6))
+def test_what_is_known_at_some_cells_bounds_their_neighbours(seed: int, ambient_c: float) -> None:
+    """Boxes drawn closely around a drive at every fourth border: the drive stays inside."""
+    rng, heater = np.random.default_rng(seed), 1.0 if ambient_c > 30.0 else 5.0
+    trip = small_trip(
+        ambient_c=ambient_c, start_soc=0.8, end_soc_min=0.05, pack__temperature_max_c=55.0
+    )
+    instance = make_instance(trip, (0, 1))
+    cells, steps = instance.cells, instance.drive.n_steps
+    controls = idle_controls(instance, tuple(rng.uniform(6.0, 9.0, 2)))
+    controls = replace(
+        controls,
+        heater_kw=rng.choice([0.0, heater], steps),
+        cooling_kw=rng.choice([0.0, 2.0], steps),
+        heat_pump_kw=rng.uniform(0.0, 1.0, steps),
+        stops=tuple(
+            replace(
+                s,
+                power_kw=rng.uniform(8.0, 80.0, cells),
+                heater_kw=rng.choice([0.0, heater], cells),
+                cooling_kw=rng.choice([0.0, 2.0], cells),
+                heat_pump_kw=rng.uniform(0.0, 1.0, cells),
+            )
+            for s in controls.stops
+        ),
+    )
+    driven = simulate(instance, controls)
+    assert driven.violation.max() < 1e-9
+    temps = np.stack([s.temperature_c for s in driven.stops])
+    dwells = np.stack([s.dwell_h for s in driven.stops])
+    box = make_box(instance)
+    free, at = box.stop_temperature, slice(0, None, 4)
+    longest = np.maximum(dwells * 1.1, box.dwell.lo)
+    box = replace(
+        box,
+        stop_temperature=_around(temps, at, free.lo, free.hi, 0.2),
+        dwell=Interval(box.dwell.lo, np.minimum(box.dwell.hi, longest)),
+    )
+    for _ in range(3):
+        box = propagate(instance, box)
+    assert box.empty is None
+    found = box.stop_temperature
+    assert np.all(temps >= found.lo - 1e-6) and np.all(temps <= found.hi + 1e-6)
+    assert np.all(driven.temperature_c >= box.temperature.lo - 1e-6)
+    assert np.all(driven.temperature_c <= box.temperature.hi + 1e-6)
+    assert found.width[:, 1:].max() < 0.5 * free.width[:, 1:].max()
