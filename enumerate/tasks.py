@@ -150,7 +150,7 @@ def refine_splits(setting: Setting, node: Node) -> Node:
 
 
 def refine_thinned(setting: Setting, node: Node, plan: Node) -> Node:
-    """Plan a subset again, from the plan of one that uses a charger more."""
+    """Plan a subset from the plan of one that uses a charger more; a better plan it has stays."""
     assert plan.refined is not None
     chargers = [stop.charger for stop in setting.instance(plan.row.subset).stops]
     (left_out,) = set(chargers) - set(node.row.subset)

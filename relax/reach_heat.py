@@ -29,7 +29,7 @@ STEEPEST = 0.8
 """Largest change of a step's end with its own midpoint for which ends are moved along [K/K]:
 below 1 there is one solution."""
 ROUNDING_K = 1e-9
-"""Added to an end that is moved along: more than its rounding [K]."""
+"""Added to an end that is moved, and once more per kW h/K of pace: more than its rounding [K]."""
 FALL_POINTS = 17
 """Points between which the fall of a warm battery at a stop is bounded."""
 
@@ -115,10 +115,10 @@ def temperatures(
             ambient = stops[i].ambient_c
             cell.lo[i, 0], cell.hi[i, 0] = max(cell.lo[i, 0], t0), min(cell.hi[i, 0], t1)
             cell.hi[i, 1:] = np.minimum(cell.hi[i, 1:], max(t1, ambient) + warm)
-            first, top = min(float(cell.lo[i, 0]), floor), float(cell.hi[i].max())
-            fallen = _fallen(instance, i, float(box.stay.hi[i]), first, top)
-            fallen = max(fallen, min(t0, ambient, floor) - cold)
-            cell.lo[i, 1:] = np.maximum(cell.lo[i, 1:], fallen)
+            begin, top = min(float(cell.lo[i, 0]), floor), float(cell.hi[i].max())
+            fallen = _fallen(instance, i, float(box.stay.hi[i]), begin, top)
+            least = max(fallen, min(t0, ambient, floor) - cold)
+            cell.lo[i, 1:] = np.maximum(cell.lo[i, 1:], least)
             drifts.forward(i, cell.lo[i], cell.hi[i], floor)
             low, high = float(cell.lo[i, -1]), float(cell.hi[i, -1])
             if stops[i].optional:
@@ -210,7 +210,7 @@ class _Colder:
                 drawn = min(demand, cop * self.per_cop) * (1.0 - 1.0 / cop)
             loss = self.resistance(at) * least
             x = t + pace * (loss + drivetrain - drawn + exchange * (ambient - middle))
-        return x - share / (1.0 - share) * abs(x - before) - ROUNDING_K
+        return x - share / (1.0 - share) * abs(x - before) - ROUNDING_K * (1.0 + pace)
 
 
 class _Steps:
@@ -268,25 +268,48 @@ class _Steps:
         return t0, t1
 
 
-def _fallen(instance: Instance, i: int, stay: float, low: float, top: float) -> float:
-    """Return what a stop falls to at least from ``low`` or above, never above ``top`` [C].
+def _spent(rate: Array, hours: npt.ArrayLike) -> Array:
+    """Return rate times hours; without a rate nothing, however long (hours may be infinite)."""
+    return np.asarray(np.multiply(rate, hours, out=np.zeros_like(rate), where=rate != 0.0))
 
-    Heat pump and ambient draw no more than at ``low`` while it is colder; the cell that
-    crosses ``low`` may have its midpoint above, where they draw more, but then starts above too.
+
+def _fallen(instance: Instance, i: int, stay: float, low: float, top: float) -> float:
+    """Return what a stop falls to at least [degrees C].
+
+    Parameters
+    ----------
+    instance : Instance
+        Subset and grid.
+    i : int
+        The stop.
+    stay : float
+        Its longest stay [h].
+    low : float
+        It begins there or warmer; not above what cooling may end at, so that below it
+        nothing cools [degrees C].
+    top : float
+        No cell border is warmer [degrees C].
     """
     stop, vehicle = instance.stops[i], instance.vehicle
     at = np.linspace(low, max(top, low), FALL_POINTS)
     table = vehicle.heat_pump_cop
-    cop = np.interp(at, table.x, np.maximum.accumulate(table.f))  # never falls, nowhere below
+    # made never to fall, nowhere below the table: what is colder than ``low`` draws no more
+    cop = np.interp(at, table.x, np.maximum.accumulate(table.f))
     _, _, drawn = pump_limits(instance, np.full(at.shape, stop.cabin_heat_kw), Interval(cop, cop))
     fall = np.maximum(drawn + stop.heat_loss_kw_per_k * (at - stop.ambient_c), 0.0)
-    fall *= max(stay, 0.0) / vehicle.pack.heat_capacity_kwh_per_k
+    pace = max(stay, 0.0) / vehicle.pack.heat_capacity_kwh_per_k
+    fall = _spent(fall, pace)
+    # the cell that crosses ``low`` may have its midpoint above, where more is drawn
     crossing = (at[:-1] - 0.5 * fall[1:]).min()
-    return float(min(low - fall[0], crossing)) - ROUNDING_K
+    return float(min(low - fall[0], crossing)) - ROUNDING_K * (1.0 + pace)
 
 
 class _Drifts:
-    """Largest fall and rise of temperature within every stop, and within each of its cells [K]."""
+    """Largest fall and rise of temperature within every stop, and within each of its cells [K].
+
+    Those of a stop are beside cooling and what ambient gives or takes, those of a cell beside
+    cooling.
+    """
 
     def __init__(self, instance: Instance, box: Box, cell_power: Array, dwell_hi: Array) -> None:
         stops, vehicle, shape = instance.stops, instance.vehicle, cell_power.shape
@@ -311,17 +334,19 @@ class _Drifts:
         warm = np.maximum(warm, 0.0)
         longest = box.stay.hi[:, None]
         # where the exchange is too fast a cell may overshoot ambient
-        slow = (0.5 * exchange * longest < capacity)[:, 0]
-        fall = drawn.max(axis=1, initial=0.0) * longest[:, 0]
-        rise = loss.sum(axis=1) + warm.max(axis=1, initial=0.0) * longest[:, 0]
+        slow = _spent(0.5 * exchange, longest)[:, 0] < capacity
+        fall = _spent(drawn.max(axis=1, initial=0.0), longest[:, 0])
+        rise = loss.sum(axis=1) + _spent(warm.max(axis=1, initial=0.0), longest[:, 0])
         self.fall = np.where(slow, fall / capacity, inf).tolist()
         self.rise = np.where(slow, rise / capacity, inf).tolist()
         pace = np.maximum(dwell_hi, 0.0) / capacity
         falls = drawn + exchange * np.maximum(temp.hi - ambient, 0.0)
         rises = warm + exchange * np.maximum(ambient - temp.lo, 0.0)
-        self.cell_fall = (pace * falls + ROUNDING_K).tolist()
-        self.cell_rise = (pace * rises + loss / capacity + ROUNDING_K).tolist()
-        self.cell_cooled = (pace * (vehicle.cooling_cop * vehicle.cooling_kw)).tolist()
+        room = ROUNDING_K * (1.0 + pace)
+        self.cell_fall = (_spent(falls, pace) + room).tolist()
+        self.cell_rise = (_spent(rises, pace) + loss / capacity + room).tolist()
+        cooling = np.full(shape, vehicle.cooling_cop * vehicle.cooling_kw)
+        self.cell_cooled = _spent(cooling, pace).tolist()
 
     def forward(self, i: int, lo: Array, hi: Array, floor: float) -> None:
         """Tighten the cell borders of stop i from the first to the last."""

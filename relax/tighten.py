@@ -1,6 +1,6 @@
 """Owns which steps a proof takes on one box: what to bound, in which order, and where to cut.
 
-Bounds the cost, then the energies charged, then the temperatures, each over all
+Bounds the cost, then the stays, the energies charged and the temperatures, each over all
 points of the relaxation that cost less than the cutoff, as long as that pays;
 otherwise says how to cut the box. Choices live here, proofs in ``proof``.
 """
@@ -40,7 +40,8 @@ may get cold. Least charges follow from the largest of the other stops."""
 FAMILY_WORTH = {"charge": (np.inf, 20.0), "stay": (np.inf, 0.5)}
 """The same for a family, whose programs are large and whose parts inherit what was gained."""
 FAMILY_NEWS = 2
-"""Stays bounded at least before the charges of a family are: else an ancestor has done it."""
+"""Stays bounded at least before the charges of a family are: with fewer, they mostly have been
+for a family that it is a part of."""
 WIDE_CHARGE_KWH = 9.0
 """Stops whose charge is less certain than this are cut before temperatures are bounded: until
 then temperature bounds are loose. From 5 to 13 kWh, 9 took the fewest programs."""
@@ -127,7 +128,7 @@ class _Work:
         self.proof.apply(Step("relax", found.z, ray), program)
 
     def shrink(self, target: Target, worths: Worths = WORTH) -> None:
-        """Bound one quantity from both sides, where the relaxed optimum leaves room."""
+        """Bound one quantity, on the sides where the relaxed optimum leaves room."""
         proof = self.proof
         columns, index = proof.columns(target), target.index
         assert proof.program is not None
@@ -150,23 +151,25 @@ class _Work:
             self.proof.apply(Step("propagate"))
 
     def round(self, targets: list[Target], worths: Worths = WORTH) -> None:
-        """Bound quantities, propagate, and bound the cost again."""
+        """Bound quantities; if any was worth it, propagate, and bound the cost again."""
+        before = self.programs
         for target in targets:
             self.shrink(target, worths)
-        self.spread()
-        self.relax()
+        if self.programs > before:
+            self.spread()
+            self.relax()
 
     def bound_family(self) -> None:
-        """Bound stays and charges of a family's optional stops, unless that has been done."""
+        """Bound stays and charges of a family's optional stops, unless most stays are known."""
         box, before = self.proof.box, self.programs
         for target in _stays(box):
             self.shrink(target, FAMILY_WORTH)
-        if self.programs < before + FAMILY_NEWS:
-            return
-        for target in _charges(box):
-            self.shrink(target, FAMILY_WORTH)
-        self.spread()
-        self.relax()
+        if self.programs >= before + FAMILY_NEWS:
+            for target in _charges(box):
+                self.shrink(target, FAMILY_WORTH)
+        if self.programs > before:
+            self.spread()
+            self.relax()
 
 
 def _charges(box: Box) -> list[Target]:
@@ -284,7 +287,7 @@ def tighten(
     fresh : bool
         The box comes from ``make_box``: intervals are propagated already.
     whole : bool
-        No interval of it has been halved: then charges are bounded before they are cut.
+        No interval of it has been halved: then stays and charges are bounded before it is cut.
     deadline : float
         ``time.perf_counter()`` from which on no further program is begun [s].
 
@@ -338,8 +341,8 @@ def tighten(
 def _settle(work: _Work, whole: bool) -> Branch | None:
     """Shrink the box as long as that pays; return where to cut what is left.
 
-    Charges are bounded on the ``whole`` box; parts of it that are still wide are cut at
-    once, which takes one program instead of seven and often suffices.
+    Stays and charges are bounded on the ``whole`` box; parts of it that are still wide are cut
+    at once, which takes one program and often suffices.
     """
     proof = work.proof
     instance = proof.instance

@@ -22,13 +22,14 @@ from relax.bound import relax_subset
 from relax.branch import Branch, Target, branch, decide, limit_count
 from relax.certify import LowerBound, certify_lower_bound
 from relax.instance import Instance, make_instance
+from relax.load import load_trip
 from relax.plan import Trajectory
 from relax.reach import make_box, propagate
 from relax.refinement import refine
 from relax.relaxation import build_relaxation
 from relax.relaxed_point import lift
 from relax.solve import solve_cone
-from relax.starts import best_start, further_starts
+from relax.starts import best_start, even_start, further_starts
 from relax.tighten import tighten
 from relax.trip import Trip
 
@@ -335,3 +336,27 @@ def test_a_battery_too_weak_for_the_road_has_a_box() -> None:
     instance = make_instance(trip, ())
     box = make_box(instance)
     assert box.empty or np.isfinite(box.power.hi).all()
+
+
+def test_stays_and_charges_of_a_family_are_bounded_and_hold_every_cheaper_plan() -> None:
+    made = load_trip("paper-400km")
+    instance = make_instance(made, (), undecided=(0, 1, 2))
+    cutoff = 320.0
+    done = tighten(instance, make_box(instance), cutoff)
+    assert not done.closed
+    assert {s.target.name for s in done.steps if s.target} == {"stay", "charge"}
+    assert done.box.stay.hi.max() < 1.0 < make_box(instance).stay.hi.min()
+    assert np.all(done.box.charge.hi < make_box(instance).charge.hi - 10.0)
+    found = 0
+    for subset in ((1,), (0, 1), (1, 2), (0, 2)):
+        fixed = make_instance(made, subset)
+        refined = refine(fixed, even_start(fixed))
+        if not refined.feasible or refined.trajectory.cost > cutoff:
+            continue
+        found += 1
+        for charger, stop in zip(subset, refined.trajectory.stops, strict=True):
+            assert float(stop.dwell_h.sum()) <= done.box.stay.hi[charger] + 1e-6
+            assert stop.energy_kwh[-1] - stop.energy_kwh[0] <= done.box.charge.hi[charger] + 1e-6
+    assert found >= 1
+    free = tighten(instance, make_box(instance), np.inf)  # without a plan there is no cutoff
+    assert not any(s.kind == "shrink" for s in free.steps)

@@ -10,7 +10,7 @@ import pytest
 from trips import small_trip
 
 from benchmarks.random_trips import random_trip
-from enumerate import Outcome, plan
+from enumerate import Outcome, explore, plan
 from enumerate.ledger import Row
 from enumerate.tasks import Node, Setting, refine_node, refine_thinned, rescue_node
 from relax import idle_controls, load_trip, make_instance, refine, simulate
@@ -155,3 +155,20 @@ def test_a_subset_is_planned_from_the_plan_of_one_charger_more(left_out: int) ->
     assert found.row.cost == pytest.approx(alone.row.cost, rel=0.01)
     again = refine_thinned(setting, alone, more)
     assert again.row.cost <= alone.row.cost
+
+
+def test_the_stops_of_the_best_plan_are_left_out_one_by_one(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    seen = []
+
+    def spy(setting: Setting, node: Node, plan: Node) -> Node:
+        seen.append((plan.row.subset, node.row.subset, node.row.outcome))
+        return refine_thinned(setting, node, plan)
+
+    monkeypatch.setattr(explore, "refine_thinned", spy)
+    result = plan(load_trip("goteborg-stockholm-winter", overrides={"start.soc": 0.35}))
+    assert result.plan is not None and seen
+    for whole, part, outcome in seen:
+        assert set(part) < set(whole) and len(part) == len(whole) - 1
+        assert outcome is not Outcome.INFEASIBLE
