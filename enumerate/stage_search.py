@@ -168,7 +168,8 @@ class StageSearch:
             missing = graph.closing - graph.bound
             gained = graph.bound > best + STALL_SHARE * missing or best == -inf
             best, idle = (graph.bound, 0) if gained else (best, idle + 1)
-            yield min(max(1.0 - missing / max(graph.closing - first, 1e-9), 0.0), 1.0)
+            share = 1.0 - missing / max(graph.closing - first, 1e-9) if first > -inf else 0.0
+            yield min(max(share, 0.0), 1.0)
 
     def prepare(self) -> None:
         """Open all stages, cut cells that are very wide, and take first planes, from the end."""

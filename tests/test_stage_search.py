@@ -165,3 +165,12 @@ def test_leaving_the_asked_start_costs_more_than_a_charge() -> None:
         penalty = make_penalty(family)
         assert penalty.energy > max(stop.price_per_kwh for stop in family.stops)
         assert penalty.temperature > 0.0
+
+
+def test_a_step_that_proves_nothing_is_no_progress(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Time may be up within a step, before there is any bound: a share all the same."""
+    made = StageSearch(StageGraph(family_of(trip_of("winter")), 10.0))
+    monkeypatch.setattr(made, "prepare", lambda: None)
+    monkeypatch.setattr(made, "advance", lambda: None)
+    assert made.graph.bound == -inf
+    assert next(made.run()) == 0.0
