@@ -27,6 +27,7 @@ from relax.starts import (
     relaxed_start,
     split_starts,
     thinned_starts,
+    warmer_start,
 )
 from relax.trip import Grid, Trip
 
@@ -143,10 +144,13 @@ def examine_leaf(setting: Setting, leaf: Leaf, cutoff: float, deadline: float) -
 
 
 def refine_splits(setting: Setting, node: Node) -> Node:
-    """Plan a subset again, from its energy split otherwise between the stops."""
+    """Plan a subset again, from its energy split otherwise between the stops, or warmer."""
     assert node.refined is not None
-    instance = setting.instance(node.row.subset)
-    return refine_node(setting, node, split_starts(instance, node.refined.controls))
+    instance, controls = setting.instance(node.row.subset), node.refined.controls
+    starts = split_starts(instance, controls)
+    if node.refined.programs <= 1:  # its start was left as it is: there may be a kink
+        starts.append(warmer_start(instance, controls))
+    return refine_node(setting, node, starts)
 
 
 def refine_thinned(setting: Setting, node: Node, plan: Node) -> Node:

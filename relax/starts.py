@@ -27,6 +27,7 @@ __all__ = [
     "split_starts",
     "thinned_starts",
     "warm_start",
+    "warmer_start",
 ]
 
 Array = npt.NDArray[np.float64]
@@ -35,6 +36,8 @@ NEAR = 0.5
 """Relative distance to its bound within which the relaxed start is taken as it is."""
 WARM_LEVELS = ((10.0, 0.0), (20.0, 0.5), (30.0, 0.5), (30.0, 1.0))
 """Temperature and time ahead of the stop of the warm starts [degrees C, h]."""
+WARMER = (30.0, 0.5)
+"""The same of the start that heats more than a plan does."""
 SMALL_SHARE = 0.1
 """Share of the energy that stays with each other stop when one carries most."""
 
@@ -213,3 +216,18 @@ def thinned_starts(controls: Controls, stop: int) -> list[Controls]:
         )
         for heir in sorted(heirs)
     ]
+
+
+def warmer_start(instance: Instance, controls: Controls) -> Controls:
+    """Return a plan's controls, but heating the battery before and during every stop.
+
+    Where a table has a kink a plan that heats too little may gain nothing from a little more.
+
+    Parameters
+    ----------
+    instance : Instance
+        Subset and grid.
+    controls : Controls
+        The plan's.
+    """
+    return warm_start(instance, controls, *WARMER)

@@ -17,7 +17,7 @@ from relax import idle_controls, load_trip, make_instance, refine, simulate
 from relax.bound import relax_subset
 from relax.instance import make_drive
 from relax.refinement import Refined, RefineSettings, _descend, best_of, is_feasible
-from relax.starts import best_start, even_start, further_starts, thinned_starts
+from relax.starts import best_start, even_start, further_starts, thinned_starts, warmer_start
 
 FOUND = {
     157: "full at the start, on a pass",
@@ -172,3 +172,16 @@ def test_the_stops_of_the_best_plan_are_left_out_one_by_one(
     for whole, part, outcome in seen:
         assert set(part) < set(whole) and len(part) == len(whole) - 1
         assert outcome is not Outcome.INFEASIBLE
+
+
+def test_a_plan_that_heats_too_little_is_planned_again_from_a_warmer_one() -> None:
+    """On a kink of the charge limit the first program finds nothing to gain: 0.4 % too dear."""
+    changes = {"vehicle.heat_pump_kw": 0.0, "objective.time_value_per_h": 400.0}
+    trip = load_trip("paper-400km", overrides=changes)
+    instance = make_instance(trip, (1, 2))
+    relaxed = relax_subset(instance)
+    assert relaxed.lower_bound is not None
+    stuck = refine(instance, best_start(instance, relaxed.point, relaxed.lower_bound))
+    again = refine(instance, warmer_start(instance, stuck.controls))
+    assert again.feasible and again.trajectory.cost < 0.995 * stuck.trajectory.cost
+    assert plan(trip).cost < 1.001 * again.trajectory.cost
