@@ -222,7 +222,7 @@ class Search:
             for n in self.nodes.values()
             if n.refined is not None
             and n.row.outcome is Outcome.PLANNED
-            and len(n.row.subset) > 1
+            and n.row.subset
             and is_close(n.row.cost, self.cost)
         ]
         close.sort(key=lambda n: n.row.cost)

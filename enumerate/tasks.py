@@ -147,9 +147,7 @@ def refine_splits(setting: Setting, node: Node) -> Node:
     """Plan a subset again, from its energy split otherwise between the stops, or warmer."""
     assert node.refined is not None
     instance, controls = setting.instance(node.row.subset), node.refined.controls
-    starts = split_starts(instance, controls)
-    if node.refined.programs <= 1:  # its start was left as it is: there may be a kink
-        starts.append(warmer_start(instance, controls))
+    starts = [*split_starts(instance, controls), warmer_start(instance, controls)]
     return refine_node(setting, node, starts)
 
 

@@ -36,7 +36,7 @@ NEAR = 0.5
 """Relative distance to its bound within which the relaxed start is taken as it is."""
 WARM_LEVELS = ((10.0, 0.0), (20.0, 0.5), (30.0, 0.5), (30.0, 1.0))
 """Temperature and time ahead of the stop of the warm starts [degrees C, h]."""
-WARMER = (30.0, 0.5)
+WARMER = (20.0, 0.5)
 """The same of the start that heats more than a plan does."""
 SMALL_SHARE = 0.1
 """Share of the energy that stays with each other stop when one carries most."""

@@ -175,7 +175,7 @@ def test_the_stops_of_the_best_plan_are_left_out_one_by_one(
 
 
 def test_a_plan_that_heats_too_little_is_planned_again_from_a_warmer_one() -> None:
-    """On a kink of the charge limit the first program finds nothing to gain: 0.4 % too dear."""
+    """On kinks of the charge limit a little more heat gains nothing, much more 0.4 %."""
     changes = {"vehicle.heat_pump_kw": 0.0, "objective.time_value_per_h": 400.0}
     trip = load_trip("paper-400km", overrides=changes)
     instance = make_instance(trip, (1, 2))
