@@ -245,9 +245,9 @@ class Search:
         """
         subset = plan.row.subset
         left = [self.nodes.get(tuple(c for c in subset if c != out)) for out in subset]
-        nodes = [
-            n for n in left if n is not None and n.row.lower_bound < self.cost and n.row.subset
-        ]
+        nodes = [n for n in left if n is not None and n.row.subset]
+        nodes = [n for n in nodes if n.row.outcome is not Outcome.INFEASIBLE]
+        nodes = [n for n in nodes if n.row.lower_bound < self.cost]
         self.run(partial(refine_thinned, plan=plan), nodes, "further starts")
 
     def _plan_new(self, subsets: Iterable[Subset]) -> None:

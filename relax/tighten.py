@@ -44,7 +44,7 @@ FAMILY_NEWS = 2
 for a family that it is a part of."""
 WIDE_CHARGE_KWH = 9.0
 """Stops whose charge is less certain than this are cut before temperatures are bounded: until
-then temperature bounds are loose. From 5 to 13 kWh, 9 took the fewest programs."""
+then temperature bounds are loose. Widths of 6, 9, 13 and 18 kWh differ by 5 % in time."""
 LEAST_SPLIT = {"charge": 0.5, "stay": 0.02, "temperature": 1.0, "stop_temperature": 1.0}
 """Intervals narrower than this are not cut [kWh, h, K]."""
 SPLIT_UNIT = {"charge": 3.0, "stay": 0.15, "temperature": 8.0, "stop_temperature": 8.0}
