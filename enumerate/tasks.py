@@ -126,7 +126,10 @@ def refine_node(setting: Setting, node: Node, starts: list[Controls] | None = No
     found = [refine(instance, start, setting.refine) for start in starts]
     if first and not any(one.feasible for one in found):  # may miss a limit by a hair
         found.append(refine(instance, even_start(instance), setting.refine))
-    best = best_of([*([node.refined] if node.refined else []), *found], instance)
+    had = node.refined
+    best = best_of([*([had] if had else []), *found], instance)
+    if had is not None and had.feasible and had.trajectory.cost < best.trajectory.cost:
+        best = had  # both hold; merit would prefer the dearer one for missing by less
     row = replace(
         node.row,
         cost=best.trajectory.cost if best.feasible else inf,
