@@ -24,7 +24,7 @@ from benchmarks.machine import make_single_threaded
 if __name__ == "__main__":
     make_single_threaded()
 
-from enumerate import plan
+from enumerate import plan, tree
 from relax import reach_heat, relaxation_stops, tighten
 from relax.intervals import Interval
 
@@ -61,6 +61,7 @@ RULES: dict[str, Callable[[], Any]] = {
     "families": lambda: patch.dict(
         tighten.FAMILY_WORTH, {"stay": (inf, inf), "charge": (inf, inf)}
     ),
+    "small families": lambda: patch.object(tree, "FEW_SUBSETS", 0),
     "planes' own extremes": lambda: patch.object(relaxation_stops, "range_of_planes", _wide),
     "(with least charges too)": lambda: _worth("charge", (0.5, 0.5)),
 }

@@ -37,7 +37,7 @@ from enumerate.tasks import (
     relax_node,
     rescue_node,
 )
-from enumerate.tree import Examined, Leaf, make_roots
+from enumerate.tree import Examined, Leaf, cut_unbounded, make_roots
 from relax.execute import Execution, execute
 from relax.refinement import Refined
 
@@ -333,7 +333,7 @@ class Search:
 
     def _examine_batch(self, cutoff: float, most: int, families: bool = False) -> list[Examined]:
         """Examine the open leaves of least bound."""
-        leaves = self.account.take(most, cutoff, families)
+        leaves = self._take(most, cutoff, families)
         task = partial(examine_leaf, self._setting_now(), cutoff=cutoff, deadline=self.deadline)
         examined: list[Examined] = []
         try:
@@ -345,6 +345,26 @@ class Search:
             self.account.put_back(leaves[len(examined) :])
         self._look_at_clock()
         return examined
+
+    def _take(self, most: int, cutoff: float, families: bool) -> list[Leaf]:
+        """Take open leaves of least bound; small families among them are replaced by parts."""
+        out: list[Leaf] = []
+        found: list[Leaf] = []
+        try:
+            while len(out) < most and (
+                found := self.account.take(most - len(out), cutoff, families)
+            ):
+                while found:
+                    done = cut_unbounded(self.setting.instance, found[0], cutoff)
+                    if done is None:
+                        out.append(found[0])
+                    else:
+                        self.account.enter(done, cutoff)
+                    del found[0]
+        except BaseException:  # an interrupt loses no leaf
+            self.account.put_back([*out, *found])
+            raise
+        return out
 
     def open(self) -> list[Node]:
         """Unsettled nodes, least bound first; ties go to fewer stops."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from math import inf
+from math import comb, inf
 
 import numpy as np
 import numpy.typing as npt
@@ -23,7 +23,13 @@ from relax.reach import make_box
 from relax.relaxed_point import RelaxedPoint
 from relax.tighten import tighten
 
-__all__ = ["Examined", "Leaf", "cut", "examine", "make_roots"]
+__all__ = ["Examined", "Leaf", "cut", "cut_unbounded", "examine", "make_roots"]
+
+FEW_SUBSETS = 12
+"""Families of up to this many subsets are cut without being bounded first: their own bound costs
+as much as that of two subsets, and closed one in three (``docs/relaxation.md``, section 6)."""
+NEAR = 0.01
+"""Share of the cutoff that is missing at most where a small family is bounded nevertheless."""
 
 
 @dataclass(frozen=True)
@@ -62,6 +68,12 @@ class Leaf:
     part: int = 0
     halved: bool = False
     limit: float = inf
+
+    @property
+    def n_subsets(self) -> int:
+        """Number of subsets in the family."""
+        least, most = (n - len(self.subset) for n in self.count)
+        return sum(comb(len(self.undecided), k) for k in range(max(least, 0), most + 1))
 
     def start(self, instance: Instance) -> Box:
         """Return the box to work on."""
@@ -178,6 +190,54 @@ def examine(
         programs=done.programs,
         solve_s=done.solve_s,
         seconds=done.solve_s + done.build_s,
+    )
+
+
+def cut_unbounded(
+    make: Callable[[Subset, Subset], Instance], leaf: Leaf, cutoff: float
+) -> Examined | None:
+    """Cut a small family without bounding it, or return None if it should be bounded.
+
+    Parameters
+    ----------
+    make : callable
+        Instance of used and undecided chargers.
+    leaf : Leaf
+        The leaf.
+    cutoff : float
+        Cost below which plans matter [currency]; ``inf`` without a plan: then bounds are
+        wanted, because their optima suggest stops.
+
+    Examples
+    --------
+    >>> from relax import load_trip, make_instance
+    >>> trip = load_trip("paper-400km")
+    >>> make = lambda used, maybe: make_instance(trip, used, undecided=maybe)
+    >>> done = cut_unbounded(make, Leaf((0,), (1, 2), 250.0, None, (2, 2)), cutoff=300.0)
+    >>> [(part.subset, part.undecided) for part in done.parts]
+    [((0, 1), ()), ((0,), (2,))]
+    """
+    missing = cutoff - leaf.bound
+    if not leaf.undecided or leaf.n_subsets > FEW_SUBSETS:
+        return None
+    if not NEAR * abs(cutoff) < missing < inf:
+        return None
+    instance = make(leaf.subset, leaf.undecided)
+    box = leaf.start(instance)
+    how = Branch("use", stop=int(np.flatnonzero(box.optional)[0]))
+    return Examined(
+        leaf=leaf,
+        bound=leaf.bound,
+        closed=False,
+        infeasible=False,
+        how=how,
+        parts=cut(instance, leaf, box, how),
+        steps=(),
+        used=(),
+        point=None,
+        programs=0,
+        solve_s=0.0,
+        seconds=0.0,
     )
 
 

@@ -17,7 +17,7 @@ from enumerate.explore import Progress
 from enumerate.ledger import Ledger, Outcome, Row
 from enumerate.result import Status
 from enumerate.search import plan
-from enumerate.tree import Examined, Leaf, examine, make_roots
+from enumerate.tree import FEW_SUBSETS, Examined, Leaf, cut_unbounded, examine, make_roots
 from relax.bound import relax_subset
 from relax.branch import Branch, Target, branch, decide, limit_count
 from relax.certify import LowerBound, certify_lower_bound
@@ -186,7 +186,10 @@ def test_a_closed_family_holds_no_plan_below_its_cutoff(kind: str) -> None:
         assert not (done.closed and share > 1.0)
 
 
-def test_a_tree_cut_to_the_end_covers_every_subset_once_and_bounds_the_best_plan() -> None:
+@pytest.mark.parametrize("unbounded", [False, True])
+def test_a_tree_cut_to_the_end_covers_every_subset_once_and_bounds_the_best_plan(
+    unbounded: bool,
+) -> None:
     made = trip("winter")
     best = min(t.cost for t in plans("winter").values())
     account = Account(3, keep_proofs=True)
@@ -196,11 +199,15 @@ def test_a_tree_cut_to_the_end_covers_every_subset_once_and_bounds_the_best_plan
     def make(used: tuple[int, ...], maybe: tuple[int, ...]) -> Instance:
         return make_instance(made, used, undecided=maybe)
 
+    without = 0
     for _ in range(300):
         leaves = account.take(1, cutoff)
         if not leaves:
             break
-        account.enter(examine(make, leaves[0], cutoff), cutoff)
+        done = cut_unbounded(make, leaves[0], cutoff) if unbounded else None
+        without += done is not None
+        account.enter(done or examine(make, leaves[0], cutoff), cutoff)
+    assert bool(without) == unbounded
     assert account.open_bound == pytest.approx(cutoff)
     ledger = Ledger(3, tuple(account.rows({}, cutoff)))  # raises if a subset is missing or twice
     assert sum(row.size for row in ledger.rows) == 8
@@ -208,6 +215,25 @@ def test_a_tree_cut_to_the_end_covers_every_subset_once_and_bounds_the_best_plan
         row = next(r for r in ledger.rows if r.holds(subset))
         assert row.outcome is Outcome.BOUNDED
     assert len({node.number for node in account.proofs}) == len(account.proofs)
+
+
+def test_a_small_family_far_from_the_cutoff_is_cut_without_a_program() -> None:
+    def make(used: tuple[int, ...], maybe: tuple[int, ...]) -> Instance:
+        return make_instance(trip("winter"), used, undecided=maybe)
+
+    leaf = Leaf((1,), (0, 2), 90.0, None, (2, 3), number=7)
+    assert leaf.n_subsets == 3 == Row((1,), Outcome.BOUNDED, undecided=(0, 2), count=(2, 3)).size
+    done = cut_unbounded(make, leaf, 100.0)
+    assert done is not None and done.programs == 0 and not done.steps and not done.closed
+    assert sum(part.n_subsets for part in done.parts) == leaf.n_subsets
+    assert {part.bound for part in done.parts} == {90.0}
+    # wanted: a bound that may close it, that suggests stops, of one subset, or of many
+    assert cut_unbounded(make, replace(leaf, bound=99.5), 100.0) is None
+    assert cut_unbounded(make, leaf, inf) is None
+    assert cut_unbounded(make, Leaf((0, 1), (), 90.0, None, (2, 2)), 100.0) is None
+    many_more = Leaf((), tuple(range(6)), 90.0, None, (0, 6))
+    assert many_more.n_subsets == 64 > FEW_SUBSETS
+    assert cut_unbounded(make, many_more, 100.0) is None
 
 
 def test_a_row_counts_the_members_of_its_family() -> None:
