@@ -151,6 +151,8 @@ class Search:
             for node in run_in_order(self.executor, bound, batch):
                 if task is relax_node:
                     self.account.root(node.row, node.steps)
+                    if not self.single:  # its leaves will have other boxes
+                        node = replace(node, optimum=None)
                 self.nodes[node.row.subset] = node
                 done += 1
                 self._tell(phase, done, done + len(nodes))
@@ -268,7 +270,7 @@ class Search:
             self._prove_by_stages(gap)
         if self.single:
             self.account.plant(
-                Leaf(s, (), n.row.lower_bound, None, (len(s), len(s)))
+                Leaf(s, (), n.row.lower_bound, None, (len(s), len(s)), known=n.optimum)
                 for s, n in self.nodes.items()
                 if n.row.outcome is not Outcome.INFEASIBLE
             )

@@ -19,7 +19,7 @@ from relax.instance import Drive, Instance, make_instance
 from relax.plan import Controls
 from relax.proof import Step
 from relax.refinement import Refined, RefineSettings, best_of, refine
-from relax.relaxed_point import RelaxedPoint
+from relax.relaxed_point import Optimum, RelaxedPoint
 from relax.starts import (
     best_start,
     even_start,
@@ -86,6 +86,8 @@ class Node:
         The proof of its first bound.
     starts : int
         Starts that proofs have added.
+    optimum : Optimum or None
+        That of its relaxation, where a proof goes on from it.
     """
 
     row: Row
@@ -93,6 +95,7 @@ class Node:
     refined: Refined | None = None
     steps: tuple[Step, ...] = ()
     starts: int = 0
+    optimum: Optimum | None = None
 
 
 def relax_node(setting: Setting, node: Node) -> Node:
@@ -113,7 +116,7 @@ def relax_node(setting: Setting, node: Node) -> Node:
         programs=programs,
         seconds=seconds,
     )
-    return Node(row, relaxed.point, steps=relaxed.steps)
+    return Node(row, relaxed.point, steps=relaxed.steps, optimum=relaxed.optimum)
 
 
 def refine_node(setting: Setting, node: Node, starts: list[Controls] | None = None) -> Node:

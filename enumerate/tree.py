@@ -20,7 +20,7 @@ from relax.branch import Branch, branch, decide
 from relax.instance import Instance
 from relax.proof import Step
 from relax.reach import make_box
-from relax.relaxed_point import RelaxedPoint
+from relax.relaxed_point import Optimum, RelaxedPoint
 from relax.tighten import tighten
 
 __all__ = ["Examined", "Leaf", "cut", "cut_unbounded", "examine", "make_roots"]
@@ -56,6 +56,8 @@ class Leaf:
     limit : float
         Least cutoff that shrank its box [currency]: what lies outside costs at least this,
         so no more is proved of the family. ``inf``: if the box is empty, it is infeasible.
+    known : Optimum or None
+        That of a root's relaxation, if it has been solved.
     """
 
     subset: Subset
@@ -68,6 +70,7 @@ class Leaf:
     part: int = 0
     halved: bool = False
     limit: float = inf
+    known: Optimum | None = None
 
     @property
     def n_subsets(self) -> int:
@@ -77,6 +80,8 @@ class Leaf:
 
     def start(self, instance: Instance) -> Box:
         """Return the box to work on."""
+        if self.known is not None:
+            return self.known.box
         return replace(make_box(instance), count=self.count) if self.box is None else self.box
 
 
@@ -170,6 +175,7 @@ def examine(
         fresh=leaf.box is None,
         whole=not leaf.halved,
         deadline=deadline,
+        known=leaf.known,
     )
     parts: tuple[Leaf, ...] = ()
     shrunk = any(step.kind == "shrink" for step in done.steps)

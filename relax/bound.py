@@ -17,7 +17,7 @@ from relax.instance import Instance
 from relax.proof import Step
 from relax.reach import make_box
 from relax.relaxation import build_relaxation
-from relax.relaxed_point import RelaxedPoint, unpack_point
+from relax.relaxed_point import Optimum, RelaxedPoint, unpack_point
 from relax.solve import SolveSettings, SolveStatus, solve_cone
 
 ROOT_SETTINGS = SolveSettings(tolerance=1e-4)
@@ -45,6 +45,8 @@ class RelaxedSubset:
         The proof: at most one dual vector.
     build_s, solve_s : float
         Time for box, rows and certificate, and for the solver [s].
+    optimum : Optimum or None
+        The solver's answer where it is usable, for ``tighten``.
     """
 
     status: SolveStatus
@@ -54,6 +56,7 @@ class RelaxedSubset:
     steps: tuple[Step, ...]
     build_s: float
     solve_s: float
+    optimum: Optimum | None = None
 
 
 def relax_subset(
@@ -98,13 +101,14 @@ def relax_subset(
         certify_infeasible(program, solution.z), Infeasible
     )
     usable = solution.status in (SolveStatus.SOLVED, SolveStatus.INACCURATE)
-    point = unpack_point(program, solution.x) if usable and np.isfinite(solution.x).all() else None
+    usable = usable and bool(np.isfinite(solution.x).all())
     return RelaxedSubset(
         status=solution.status,
         lower_bound=bound.value if isinstance(bound, LowerBound) and not infeasible else None,
-        point=point,
+        point=unpack_point(program, solution.x) if usable else None,
         infeasible=infeasible,
         steps=(Step("relax", solution.z, solution.status is SolveStatus.INFEASIBLE),),
         build_s=build_s + time.perf_counter() - begin,
         solve_s=solution.solve_s,
+        optimum=Optimum(box, program, solution.x, solution.z) if usable else None,
     )

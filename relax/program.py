@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -92,6 +93,16 @@ class ConeProgram:
     row_scale: Array
     variables: Mapping[str, Index] = field(default_factory=lambda: MappingProxyType({}))
     rows: Mapping[str, Index] = field(default_factory=lambda: MappingProxyType({}))
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what is pickled: read-only mappings are not."""
+        names = {"variables": dict(self.variables), "rows": dict(self.rows)}
+        return {**self.__dict__, **names}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Restore what ``__getstate__`` gave."""
+        names = {name: MappingProxyType(state[name]) for name in ("variables", "rows")}
+        self.__dict__.update({**state, **names})
 
     def value(self, name: str, x: Array) -> Array:
         """Return the physical values of a named variable; absent entries are 0.

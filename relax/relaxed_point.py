@@ -14,11 +14,12 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from relax.box import Box
 from relax.instance import Instance
 from relax.plan import Trajectory
 from relax.program import ConeProgram
 
-__all__ = ["RelaxedPoint", "RelaxedStop", "lift", "unpack_point"]
+__all__ = ["Optimum", "RelaxedPoint", "RelaxedStop", "lift", "unpack_point"]
 
 Array = npt.NDArray[np.float64]
 
@@ -67,6 +68,28 @@ class RelaxedPoint:
     cooling_kw: Array
     heat_pump_kw: Array
     stops: tuple[RelaxedStop, ...]
+
+
+@dataclass(frozen=True)
+class Optimum:
+    """Where the solver ended on a box: a proof about the box goes on from there.
+
+    Parameters
+    ----------
+    box : Box
+        The box.
+    program : ConeProgram
+        Its relaxation.
+    x : ndarray, shape (n,)
+        Primal point; it chooses what is bounded next and proves nothing.
+    z : ndarray, shape (m,)
+        Dual vector, to be certified.
+    """
+
+    box: Box
+    program: ConeProgram
+    x: Array
+    z: Array
 
 
 def unpack_point(program: ConeProgram, x: Array) -> RelaxedPoint:

@@ -22,7 +22,7 @@ from relax.instance import Instance
 from relax.intervals import Interval
 from relax.proof import BoxProof, Closed, Step
 from relax.reach import make_box
-from relax.relaxed_point import RelaxedPoint, unpack_point
+from relax.relaxed_point import Optimum, RelaxedPoint, unpack_point
 from relax.solve import ConeSolver, SolveSettings, SolveStatus, solve_cone, solve_objective
 
 __all__ = ["Proof", "Tightened", "prove", "tighten"]
@@ -126,6 +126,11 @@ class _Work:
         self.x, self._solver = found.x, None
         ray = found.status is SolveStatus.INFEASIBLE
         self.proof.apply(Step("relax", found.z, ray), program)
+
+    def adopt(self, known: Optimum) -> None:
+        """Bound the cost on the box by an optimum that is known already."""
+        self.x, self._solver = known.x, None
+        self.proof.apply(Step("relax", known.z), known.program)
 
     def shrink(self, target: Target, worths: Worths = WORTH) -> None:
         """Bound one quantity, on the sides where the relaxed optimum leaves room."""
@@ -271,6 +276,7 @@ def tighten(
     fresh: bool = False,
     whole: bool = True,
     deadline: float = np.inf,
+    known: Optimum | None = None,
 ) -> Tightened:
     """Bound, shrink and if need be cut one box.
 
@@ -290,6 +296,8 @@ def tighten(
         No interval of it has been halved: then stays and charges are bounded before it is cut.
     deadline : float
         ``time.perf_counter()`` from which on no further program is begun [s].
+    known : Optimum, optional
+        That of the box's relaxation, if it has been solved.
 
     Returns
     -------
@@ -312,7 +320,10 @@ def tighten(
         proof.check()
         if not fresh:
             work.spread()
-        work.relax()
+        if known is None:
+            work.relax()
+        else:
+            work.adopt(known)
         how = _settle(work, whole)
     except Closed:
         closed = True
