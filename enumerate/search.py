@@ -119,7 +119,7 @@ def plan(
             keep_proofs=keep_proofs,
         )
         phases: list[tuple[str, Callable[[], None]]] = [
-            ("relax", search.relax),
+            ("relax", lambda: search.relax(prune)),
             ("refine", lambda: search.refine(prune)),
             ("replay", search.drive_or_rescue),
         ]
