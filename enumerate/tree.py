@@ -18,7 +18,7 @@ from enumerate.subset import Subset
 from relax.box import Box
 from relax.branch import Branch, branch, decide
 from relax.instance import Instance
-from relax.proof import Step
+from relax.proof import BoxProof, Closed, Step
 from relax.reach import make_box
 from relax.relaxed_point import Optimum, RelaxedPoint
 from relax.tighten import tighten
@@ -230,6 +230,10 @@ def cut_unbounded(
         return None
     instance = make(leaf.subset, leaf.undecided)
     box = leaf.start(instance)
+    try:
+        BoxProof(instance, box, cutoff).check()
+    except Closed:  # it holds nothing: to be closed, not cut
+        return None
     how = Branch("use", stop=int(np.flatnonzero(box.optional)[0]))
     return Examined(
         leaf=leaf,

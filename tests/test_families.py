@@ -22,6 +22,7 @@ from relax.bound import relax_subset
 from relax.branch import Branch, Target, branch, decide, limit_count
 from relax.certify import LowerBound, certify_lower_bound
 from relax.instance import Instance, make_instance
+from relax.intervals import Interval
 from relax.load import load_trip
 from relax.plan import Trajectory
 from relax.reach import make_box, propagate
@@ -231,6 +232,12 @@ def test_a_small_family_far_from_the_cutoff_is_cut_without_a_program() -> None:
     assert cut_unbounded(make, replace(leaf, bound=99.5), 100.0) is None
     assert cut_unbounded(make, leaf, inf) is None
     assert cut_unbounded(make, Leaf((0, 1), (), 90.0, None, (2, 2)), 100.0) is None
+    # holds nothing: the audit would close it and look for no parts
+    assert cut_unbounded(make, replace(leaf, undecided=(0,), count=(3, 3)), 100.0) is None
+    box = make_box(make((1,), (0, 2)))
+    empty = replace(box, charge=Interval(box.charge.hi + 1.0, box.charge.lo))
+    assert empty.empty and cut_unbounded(make, replace(leaf, box=box), 100.0) is not None
+    assert cut_unbounded(make, replace(leaf, box=empty), 100.0) is None
     many_more = Leaf((), tuple(range(6)), 90.0, None, (0, 6))
     assert many_more.n_subsets == 64 > FEW_SUBSETS
     assert cut_unbounded(make, many_more, 100.0) is None
