@@ -40,6 +40,7 @@ from enumerate.tasks import (
 from enumerate.tree import Examined, Leaf, cut_unbounded, make_roots
 from relax.execute import Execution, execute
 from relax.refinement import Refined
+from relax.relaxed_point import Optimum
 
 __all__ = ["FEW_CHARGERS", "Progress", "Search"]
 
@@ -124,7 +125,9 @@ class Search:
         self.account = Account(self.n_chargers, keep_proofs)
         self.single = single
         self.nodes: dict[Subset, Node] = {}
+        self.optima: dict[Subset, Optimum | None] = {}
         self.together: frozenset[Subset] = frozenset()  # bounded as one family
+        self.proving = False
         if single:
             every = all_subsets(self.n_chargers)
             self.nodes = {s: Node(Row(s, Outcome.UNPROVED)) for s in every}
@@ -155,8 +158,9 @@ class Search:
             for node in run_in_order(self.executor, bound, batch):
                 if task is relax_node:
                     self.account.root(node.row, node.steps)
-                    if not self.single:  # its leaves will have other boxes
-                        node = replace(node, optimum=None)
+                    if self.n_chargers <= FEW_CHARGERS:  # else leaves have other boxes
+                        self.optima[node.row.subset] = node.optimum
+                    node = replace(node, optimum=None)
                 self.nodes[node.row.subset] = node
                 done += 1
                 self._tell(phase, done, done + len(nodes))
@@ -185,7 +189,7 @@ class Search:
     def _tell(self, phase: str, done: int, total: int) -> None:
         if self.report is not None:
             bound = self.account.open_bound
-            if bound == inf:  # no leaves yet: every subset speaks for itself
+            if bound == inf or (self.single and not self.proving):  # subsets speak for themselves
                 bound = min((n.row.lower_bound for n in self.nodes.values()), default=inf)
             self.report(Progress(phase, done, total, self.cost, bound))
 
@@ -307,11 +311,12 @@ class Search:
 
         Without a plan, whatever is not infeasible: what is left of it tells where to start again.
         """
+        self.proving = True
         if self.execution is not None and self.by_stages:
             self._prove_by_stages(gap)
         if self.single:
             self.account.plant(
-                Leaf(s, (), n.row.lower_bound, None, (len(s), len(s)), known=n.optimum)
+                Leaf(s, (), n.row.lower_bound, None, (len(s), len(s)), known=self.optima.get(s))
                 for s, n in self.nodes.items()
                 if n.row.outcome is not Outcome.INFEASIBLE and s not in self.together
             )

@@ -87,7 +87,7 @@ class Node:
     starts : int
         Starts that proofs have added.
     optimum : Optimum or None
-        That of its relaxation, where a proof goes on from it.
+        That of its relaxation, as ``relax_node`` gives it.
     """
 
     row: Row

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from enumerate import Outcome, Result, audit, explore, plan, save_proofs
+from enumerate import Outcome, Progress, Result, audit, explore, plan, save_proofs
 from relax import load_trip
 from relax.trip import Trip
 
@@ -46,6 +46,14 @@ def test_the_audit_follows(gap: float | None, tmp_path: Path) -> None:
     found = audit(tmp_path / "a.proofs", WARM)
     assert found.holds, found.failures
     assert found.lower_bound == pytest.approx(result.lower_bound, rel=1e-9)
+
+
+@pytest.mark.parametrize("gap", [None, 0.002])
+def test_the_bound_shown_is_that_of_all_choices(gap: float | None) -> None:
+    shown: list[Progress] = []
+    result = plan(WARM, gap=gap, progress=shown.append)
+    bounds = [progress.lower_bound for progress in shown]
+    assert max(bounds) <= result.lower_bound and bounds == sorted(bounds)
 
 
 def test_where_a_pair_may_be_better_each_has_its_own_bound() -> None:
