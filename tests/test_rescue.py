@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from dataclasses import replace
+from itertools import islice
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from trips import small_trip
 from benchmarks.random_trips import random_trip
 from enumerate import Outcome, explore, plan
 from enumerate.ledger import Row
-from enumerate.tasks import Node, Setting, refine_node, refine_thinned, rescue_node
+from enumerate.tasks import Node, Setting, refine_node, refine_splits, refine_thinned, rescue_node
 from relax import idle_controls, load_trip, make_instance, refine, simulate
 from relax.bound import relax_subset
 from relax.instance import make_drive
@@ -185,3 +186,19 @@ def test_a_plan_that_heats_too_little_is_planned_again_from_a_warmer_one() -> No
     again = refine(instance, warmer_start(instance, stuck.controls))
     assert again.feasible and again.trajectory.cost < 0.995 * stuck.trajectory.cost
     assert plan(trip).cost < 1.001 * again.trajectory.cost
+
+
+def test_with_several_stops_no_start_apart_is_cheaper_than_the_plan() -> None:
+    trip = load_trip("long-1000km-winter")
+    subset = (4, 8, 13, 15, 18)
+    setting = Setting(trip, make_drive(trip, trip.grid.step_km), trip.grid, RefineSettings())
+    instance = setting.instance(subset)
+    relaxed = relax_subset(instance)
+    node = Node(Row(subset, Outcome.UNPROVED, lower_bound=relaxed.lower_bound), relaxed.point)  # type: ignore[arg-type]
+    first = refine_node(setting, node)
+    done = refine_splits(setting, first)
+    assert done.row.cost < 0.99 * first.row.cost  # from the relaxed optimum 2 % dearer
+    apart = [
+        refine(instance, start).trajectory.cost for start in islice(further_starts(instance), 5)
+    ]
+    assert done.row.cost <= min(apart) * (1.0 + 1e-9)
