@@ -136,11 +136,6 @@ class Account:
             self._taken.pop(leaf.number, None)
             heapq.heappush(self._open, (leaf.bound, leaf.number, leaf))
 
-    def forget(self, leaf: Leaf, programs: int) -> None:
-        """Leave a leaf out that was taken: what it holds is covered by others."""
-        self._taken.pop(leaf.number, None)
-        self.programs += programs
-
     def enter_stages(self, graph: StageGraph, programs: int) -> None:
         """Enter what a proof over stages bounds: every plan."""
         self.programs += programs

@@ -230,18 +230,15 @@ class Search:
             return rest
         if len(pair) < 2 or not is_closed(first.lower_bound, self.cost):
             return rest
-        count = (2, self.n_chargers)
-        self.account.plant([Leaf((), tuple(range(self.n_chargers)), -inf, None, count)])
-        (leaf,) = self.account.take(1, inf)
-        done = None
-        try:
-            done = examine_leaf(self._setting_now(), leaf, inf, self.deadline)
-        finally:
-            if done is None or not is_closed(done.bound, self.cost):
-                self.account.forget(leaf, 0 if done is None else done.programs)
+        every = tuple(range(self.n_chargers))
+        leaf = Leaf((), every, -inf, None, (2, self.n_chargers))
+        done = examine_leaf(self._setting_now(), leaf, inf, self.deadline)
         if not is_closed(done.bound, self.cost):
+            self.account.programs += done.programs
             return rest
-        self.account.enter(done, inf)
+        self.account.plant([leaf])
+        (leaf,) = self.account.take(1, inf)  # numbered
+        self.account.enter(replace(done, leaf=leaf), inf)
         for node in rest:
             row = replace(node.row, lower_bound=done.bound)
             self.nodes[row.subset] = replace(node, row=row)
