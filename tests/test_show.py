@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import re
 from math import inf
-from pathlib import Path
 
 import pytest
 from trips import small_trip
@@ -19,16 +18,13 @@ from enumerate import (
     Result,
     Row,
     Status,
-    audit,
     format_result,
     plan,
-    save_proofs,
 )
 from enumerate.audit import Audit
 from enumerate.show_choices import _name, format_choices
 from enumerate.show_front import format_front
 from enumerate.table import NO_BREAK, WIDTH, counted, paragraph, printable, table, unbroken
-from relax import load_trip, shipped_trips
 from relax.trip import Trip
 
 
@@ -385,52 +381,6 @@ def test_counts_have_their_noun_in_the_right_number() -> None:
     assert "2 claims fail." in str(several) and "2 choices of stops in 2 rows, 2 boxes" in str(
         several
     )
-
-
-def long_names(trip: Trip) -> Trip:
-    """Return the trip with chargers named as on a map."""
-    return dataclasses.replace(
-        trip,
-        chargers=tuple(
-            dataclasses.replace(c, name=f"Trafikplats Jönköping-Huskvarna södra {c.name}, plats 12")
-            for c in trip.chargers
-        ),
-    )
-
-
-SLOW = {"goteborg-stockholm-winter", "long-1000km-winter"}
-
-
-@pytest.mark.parametrize(
-    "name", [pytest.param(n, marks=[pytest.mark.long] * (n in SLOW)) for n in shipped_trips()]
-)
-def test_no_page_is_wider_than_eighty_columns(name: str, tmp_path: Path) -> None:
-    trip = load_trip(name)
-    found = plan(trip, gap=0.05, time_limit_s=10.0 if name in SLOW else 1.5, keep_proofs=True)
-    pages = [format_result(found, trip), format_result(found)]
-    if found.plan is not None:
-        pages.append(str(found.certificate))
-        renamed = long_names(trip)
-        new = {c.name: r.name for c, r in zip(trip.chargers, renamed.chargers, strict=True)}
-        stops = tuple(dataclasses.replace(s, charger=new[s.charger]) for s in found.plan.stops)
-        named = dataclasses.replace(
-            found,
-            trip="a trip with a name that is so long that nobody would want to read all of it",
-            chargers=tuple(new.values()),
-            plan=dataclasses.replace(found.plan, stops=stops),
-        )
-        pages.append(format_result(named, renamed))
-    save_proofs(tmp_path / "proofs", trip, found)
-    pages.append(str(audit(tmp_path / "proofs", trip)))
-    damaged = dataclasses.replace(
-        audit(tmp_path / "proofs", trip), failures=("row of the chargers (0,): " + "wrong " * 40,)
-    )
-    pages.append(str(damaged))
-    for page in pages:
-        assert "\n\n\n" not in page and page == page.strip()
-        for row in page.split("\n"):
-            assert len(row) <= 80, row
-            assert row == row.rstrip()
 
 
 def test_a_front_is_narrow_and_tells_its_points_apart(result: Result) -> None:
