@@ -64,6 +64,18 @@ def test_where_a_pair_may_be_better_each_has_its_own_bound() -> None:
     assert min(row.lower_bound for row in more) < result.transcribed_cost
 
 
+def test_far_from_its_own_bound_a_plan_asks_for_the_best_pair_first(
+    warm: Result, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(explore, "SURE", 0.0)
+    result = plan(WARM, keep_proofs=True)
+    assert families(result) == [(2, 3)]
+    assert [row.subset for row in result.ledger.rows if row.programs and len(row.subset) > 1] == [
+        (1, 2)  # both are better alone than charger 0
+    ]
+    assert result.cost == warm.cost and result.programs == warm.programs + 1
+
+
 def test_a_pair_out_of_reach_asks_for_no_family() -> None:
     far = tuple(replace(c, detour_in_h=0.25, detour_out_h=0.25) for c in WARM.chargers)
     result = plan(replace(WARM, chargers=far, stop_time_h=1.0), keep_proofs=True)
@@ -81,7 +93,7 @@ def test_a_family_that_does_not_close_leaves_only_its_cost(
     )
     result = plan(WARM, keep_proofs=True)
     assert not families(result)
-    assert result.cost == warm.cost and result.programs == warm.programs + 3
+    assert result.cost == warm.cost and result.programs == warm.programs + 4
     assert all(row.programs == 1 for row in result.ledger.rows if len(row.subset) > 1)
 
 
