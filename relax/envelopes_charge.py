@@ -32,6 +32,9 @@ __all__ = [
 
 Array = npt.NDArray[np.float64]
 
+WIDE_NODES = 150
+"""Boxes over more table nodes than this get no planes above rho: they would hardly be below its
+range, and are the costliest of all."""
 LEAST_POWER_KW = 1e-6
 """Charge limits below this count as this where they are divided by [kW]; only loosens."""
 
@@ -203,6 +206,12 @@ def _cell_corners(values: Array) -> list[Array]:
     return [cold[:, :-1], cold[:, 1:], warm[:, :-1], warm[:, 1:]]
 
 
+def _of_corners(choose: np.ufunc, values: Array) -> Array:
+    """Return the least or largest of every cell's corners, (c, k - 1, l - 1)."""
+    ends = choose(values[:, :-1], values[:, 1:])
+    return np.asarray(choose(ends[:, :, :-1], ends[:, :, 1:]))
+
+
 def _above(values: Array, e: Array, t: Array, s_e: Array, s_t: Array) -> Array:
     """Return values at points (c, k, l) less a plane in (E, T) with slopes (c,)."""
     out = values - (s_e[:, None] * e)[:, :, None]
@@ -318,7 +327,7 @@ def envelope_stop_loss_over(
     Returns
     -------
     planes : ndarray, shape (m, 3, c)
-        Planes.
+        Planes; none on wide boxes.
     range : Interval, shape (c,)
         Bounds of rho on the box.
     """
@@ -326,6 +335,18 @@ def envelope_stop_loss_over(
     families = [grid.power]
     if np.any(grid.grid_power.min(axis=1) < grid.power.max(axis=(1, 2))):
         families.append(np.broadcast_to(grid.grid_power[:, :, None], grid.power.shape))
+    least = (
+        grid.resistance.min(axis=1)
+        * grid.inverse_square.min(axis=1)
+        * np.min([p.min(axis=(1, 2)) for p in families], axis=0)
+    )
+    if grid.power[0].size > WIDE_NODES:
+        # on every table cell at most the product of the largest factors
+        most = np.min([_of_corners(np.maximum, p) for p in families], axis=0)
+        kappa, R = grid.inverse_square, grid.resistance
+        most *= np.maximum(kappa[:, 1:], kappa[:, :-1])[:, :, None]
+        most *= np.maximum(R[:, 1:], R[:, :-1])[:, None, :]
+        return np.zeros((0, 3, e.shape[0])), _loosened(least, most.max(axis=(1, 2)))
     rho = (
         np.minimum(families[0], families[-1])
         * grid.inverse_square[:, :, None]
@@ -349,17 +370,13 @@ def envelope_stop_loss_over(
             for slopes in zip(s_e, s_t, strict=True)
         ]
     )
-    most = _largest(tables)
-    least = (
-        grid.resistance.min(axis=1)
-        * grid.inverse_square.min(axis=1)
-        * np.min([p.min(axis=(1, 2)) for p in families], axis=0)
-    )
     offset += SAFETY * (1e-3 + np.abs(offset))
-    return (
-        np.stack([s_e, s_t, offset], axis=1),
-        Interval(least * (1.0 - SAFETY), most * (1.0 + SAFETY) + 1e-12),
-    )
+    return np.stack([s_e, s_t, offset], axis=1), _loosened(least, _largest(tables))
+
+
+def _loosened(least: Array, most: Array) -> Interval:
+    """Return the range of rho with room for its rounding."""
+    return Interval(least * (1.0 - SAFETY), most * (1.0 + SAFETY) + 1e-12)
 
 
 def envelope_stop_loss_under(

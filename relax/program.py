@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from math import prod
 from types import MappingProxyType
 from typing import Any
 
@@ -34,20 +35,26 @@ class _Entries:
         self.row, self.column = np.empty(self.room, np.int64), np.empty(self.room, np.int64)
         self.value = np.empty(self.room)
 
-    def add(self, row: Index, columns: npt.ArrayLike, values: npt.ArrayLike) -> None:
-        """Add one term of rows of any shape; columns and values are broadcast to it."""
-        begin, end = self.count, self.count + row.size
-        while end > self.room:
+    def add(self, begin: int, shape: tuple[int, ...], terms: Sequence[Term], stride: int = 1) -> None:
+        """Add terms of rows of a shape: ``begin``, ``begin`` + ``stride``, ... in its order.
+
+        Columns and values of every term are broadcast to the shape.
+        """
+        size, first = prod(shape), self.count
+        self.count += len(terms) * size
+        while self.count > self.room:
             self.room *= 2
             self.row, self.column = (
                 np.resize(self.row, self.room),
                 np.resize(self.column, self.room),
             )
             self.value = np.resize(self.value, self.room)
-        self.row[begin:end] = row.ravel()
-        self.column[begin:end].reshape(row.shape)[...] = columns
-        self.value[begin:end].reshape(row.shape)[...] = values
-        self.count = end
+        rows = np.arange(begin, begin + stride * size, stride)
+        self.row[first : self.count].reshape(len(terms), size)[...] = rows
+        column = self.column[first : self.count].reshape(len(terms), *shape)
+        value = self.value[first : self.count].reshape(len(terms), *shape)
+        for k, (columns, values) in enumerate(terms):
+            column[k], value[k] = columns, values
 
 
 @dataclass(frozen=True)
@@ -196,8 +203,10 @@ class Assembly:
         self._n += count
         self._index[name] = index
         self._scale.append(np.full(count, scale))
-        self._lo.append(np.broadcast_to(np.asarray(lo, dtype=np.float64), mask.shape)[mask])
-        self._hi.append(np.broadcast_to(np.asarray(hi, dtype=np.float64), mask.shape)[mask])
+        ends = np.empty((2, *mask.shape))
+        ends[0], ends[1] = lo, hi
+        self._lo.append(ends[0][mask])
+        self._hi.append(ends[1][mask])
         return index
 
     def alias(self, name: str, columns: Index) -> None:
@@ -217,9 +226,7 @@ class Assembly:
         self._count[block] += b.size
         self._names.append((name, block, begin, b.size))
         self._rhs[block].append(b.ravel())
-        row = np.arange(begin, begin + b.size).reshape(b.shape)
-        for columns, values in terms:
-            self._entries[block].add(row, columns, values)
+        self._entries[block].add(begin, b.shape, terms)
 
     def equal(self, name: str, rhs: npt.ArrayLike, *terms: Term, unit: Index | None = None) -> None:
         """Add rows sum of terms = rhs * unit.
@@ -264,9 +271,8 @@ class Assembly:
             if unit is not None and (unit >= 0).any():
                 terms = [*terms, (unit, constants[:, i].copy())]
                 constants[unit >= 0, i] = 0.0
-            row = begin + i + size * np.arange(k)
-            for columns, values in terms:
-                self._entries[2].add(row, columns, -np.asarray(values, dtype=np.float64))
+            minus = [(c, -np.asarray(value, dtype=np.float64)) for c, value in terms]
+            self._entries[2].add(begin + i, (k,), minus, stride=size)
         self._rhs[2].append(constants.ravel())
 
     def build(self, cost: Mapping[str, npt.ArrayLike], constant: float = 0.0) -> ConeProgram:

@@ -231,6 +231,8 @@ def _add_stop_loss(model: Model, tables: ChargeGrid, rho: Array, rho_range: Inte
     # likewise a plane above rho is at least its own least value
     lo = np.maximum(rho_range.lo, range_of_planes(rho, tables).lo).reshape(-1, *shape)
     hi = rho_range.hi.reshape(shape)
+    if not rho.size:  # the constant is the plane
+        rows.less("stop loss high", np.zeros(shape), (loss, 1.0), (W, -hi / K))
     for name, at, slope in (("stop loss low", w_lo, hi), ("stop loss high", w_hi, lo)):
         a = at / K * s_e
         rows.less(

@@ -243,6 +243,8 @@ def _stop_rows(
     p_0 = np.maximum(0.5 * power.hi, 1.0)
     rows += _rotated(cp.multiply(K * p_0, y), cp.multiply(1.0 / p_0, p), chord * one)
     # loss: l <= e * rho(E, T) from above, cone and planes from below
+    if not rho.size:
+        rows += [loss <= cp.multiply(rho_range.hi, e * one)]
     for u, least_u in zip(rho, range_of_planes(rho, tables).lo, strict=True):
         value = cp.multiply(u[0], E) + cp.multiply(u[1], T) + u[2]
         rows += [loss <= (w[0] * value + (W - w[0]) * rho_range.hi) / K]
