@@ -35,7 +35,9 @@ class _Entries:
         self.row, self.column = np.empty(self.room, np.int64), np.empty(self.room, np.int64)
         self.value = np.empty(self.room)
 
-    def add(self, begin: int, shape: tuple[int, ...], terms: Sequence[Term], stride: int = 1) -> None:
+    def add(
+        self, begin: int, shape: tuple[int, ...], terms: Sequence[Term], stride: int = 1
+    ) -> None:
         """Add terms of rows of a shape: ``begin``, ``begin`` + ``stride``, ... in its order.
 
         Columns and values of every term are broadcast to the shape.

@@ -16,7 +16,7 @@ from relax.instance import Instance
 from relax.intervals import Interval
 from relax.program import Assembly, ConeProgram
 from relax.relaxation_drive import add_drive
-from relax.relaxation_model import Index, Model, pick, stack
+from relax.relaxation_model import Index, Model, make_pumps, pick, stack
 from relax.relaxation_stops import add_stops
 
 __all__ = ["build_relaxation"]
@@ -181,8 +181,8 @@ def build_relaxation(instance: Instance, box: Box) -> ConeProgram:
         raise ValueError(f"the box is empty: {box.empty}")
     if instance.vehicle.heat_pump_droop_per_kw * instance.vehicle.heat_pump_kw >= 1.0:
         raise ValueError("heat_pump_droop_per_kw * heat_pump_kw must stay below 1")
-    model = Model(Assembly(), instance, box, {}, {})
     with np.errstate(divide="raise", invalid="raise"):
+        model = Model(Assembly(), instance, box, {}, {}, make_pumps(instance, box))
         _add_states(model)
         add_drive(model)
         if instance.stops:

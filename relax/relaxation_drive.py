@@ -15,11 +15,11 @@ from relax.envelopes import (
     envelope_loss_under,
 )
 from relax.envelopes_charge import envelope_table_over
-from relax.intervals import Interval, range1, range2
+from relax.intervals import range1, range2
 from relax.program import Term
 from relax.reach import may_fill
-from relax.reach_heat import COOLING_SLACK_K, pump_limits
-from relax.relaxation_model import Array, Model, middle, pick, pump_planes
+from relax.reach_heat import COOLING_SLACK_K
+from relax.relaxation_model import Array, Model, middle, pick
 
 __all__ = ["FLOOR_WIDTH_K", "LEAST_RESISTANCE_OHM", "add_drive"]
 
@@ -38,7 +38,7 @@ def add_drive(model: Model) -> None:
     )  # fmt: skip
     energy, temp = box.middle_energy, box.middle_temperature
     every = np.ones(n, dtype=bool)
-    pump_hi, heat_hi, _ = pump_limits(instance, q, range1(vehicle.heat_pump_cop, temp))
+    pump = model.pumps[0]
     loss_hi = (
         range1(pack.resistance_ohm, temp).hi
         / range1(pack.voltage_squared, energy).lo
@@ -49,14 +49,14 @@ def add_drive(model: Model) -> None:
     braking |= may_fill(instance, box)
     cools = box.temperature.hi[1:] >= vehicle.cooling_from_c - COOLING_SLACK_K
     cools &= vehicle.cooling_kw > 0.0
-    heater_hi = np.maximum(vehicle.heater_kw - (q - heat_hi) / eta_c, 0.0)
+    heater_hi = np.maximum(vehicle.heater_kw - (q - pump.heat) / eta_c, 0.0)
     for name, exists, scale, lo, hi in (
         ("power", every, 10.0, box.power.lo, box.power.hi),
         ("loss", every, 1.0, 0.0, loss_hi),
         ("heater", every & (vehicle.heater_kw > 0.0), 2.0, 0.0, heater_hi),
         ("cooling", cools, 2.0, 0.0, vehicle.cooling_kw),
-        ("pump", pump_hi > 0.0, 1.0, 0.0, pump_hi),
-        ("pump_heat", pump_hi > 0.0, 1.0, 0.0, heat_hi + 1e-9),
+        ("pump", pump.power > 0.0, 1.0, 0.0, pump.power),
+        ("pump_heat", pump.power > 0.0, 1.0, 0.0, pump.heat + 1e-9),
         ("brake", braking, 1.0, 0.0, np.maximum(-drive.base_kw, 0.0)),
     ):
         v[name] = rows.variable(name, exists, scale=scale, lo=lo, hi=hi)
@@ -76,7 +76,7 @@ def add_drive(model: Model) -> None:
         (hb, -vehicle.heater_battery_efficiency), (ac, vehicle.cooling_cop), (h, 1.0), (hp, -1.0),
     )  # (R3)  # fmt: skip
     for name, column, most in (
-        ("heater", hb, None), ("cooling", ac, vehicle.cooling_kw), ("pump", hp, pump_hi),
+        ("heater", hb, None), ("cooling", ac, vehicle.cooling_kw), ("pump", hp, pump.power),
         ("pump heat", h, q), ("brake", br, -drive.base_kw),
     ):  # fmt: skip
         on = column >= 0
@@ -89,15 +89,13 @@ def add_drive(model: Model) -> None:
     _add_limits(model, refused)
     _add_loss(model)
     on = hp >= 0
-    if on.any():
-        power, temp_on = Interval(np.zeros(int(on.sum())), pump_hi[on]), pick(temp, on)
-        for name, planes, sign in pump_planes(instance, power, q[on], temp_on):
-            slope_t = middle(t0[on], t1[on], -sign * planes[:, 1])
-            first, second = (h[on], hp[on]) if name.startswith("heat") else (hp[on], h[on])
-            rows.less(
-                f"drive pump {name}", sign * planes[:, 2],
-                (first, sign), (second, -sign * planes[:, 0]), *slope_t,
-            )  # (R4)  # fmt: skip
+    for name, planes, sign in pump.planes:
+        slope_t = middle(t0[on], t1[on], -sign * planes[:, 1])
+        first, second = (h[on], hp[on]) if name.startswith("heat") else (hp[on], h[on])
+        rows.less(
+            f"drive pump {name}", sign * planes[:, 2],
+            (first, sign), (second, -sign * planes[:, 0]), *slope_t,
+        )  # (R4)  # fmt: skip
 
 
 def _add_cooling(model: Model, cooling: npt.NDArray[np.int64], end: npt.NDArray[np.int64]) -> None:

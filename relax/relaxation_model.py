@@ -19,8 +19,9 @@ from relax.envelopes import (
 from relax.instance import Instance
 from relax.intervals import Interval, range1
 from relax.program import Assembly, Term
+from relax.reach_heat import pump_limits
 
-__all__ = ["Array", "Index", "Model", "middle", "pick", "pump_planes", "stack"]
+__all__ = ["Array", "Index", "Model", "Pump", "make_pumps", "middle", "pick", "stack"]
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.int64]
@@ -35,6 +36,7 @@ class Model:
     box: Box
     v: dict[str, Index]
     cost: dict[str, npt.ArrayLike]
+    pumps: tuple[Pump, Pump]
 
 
 def stack(instance: Instance, name: str) -> Array:
@@ -53,10 +55,53 @@ def pick(x: Interval, on: npt.NDArray[np.bool_]) -> Interval:
     return Interval(x.lo[on], x.hi[on])
 
 
-def pump_planes(
+@dataclass(frozen=True)
+class Pump:
+    """The heat pump in the driving steps, or in the cells: limits and planes.
+
+    Parameters
+    ----------
+    power, heat : ndarray, shape (n,) or (S, K)
+        Largest compressor power and largest heat [kW].
+    planes : list of (name, ndarray, float)
+        Planes where it may run, m at a time, with their sign (+1: from above).
+    """
+
+    power: Array
+    heat: Array
+    planes: list[tuple[str, Array, float]]
+
+
+def make_pumps(instance: Instance, box: Box) -> tuple[Pump, Pump]:
+    """Return the heat pump in the driving steps and in the cells; one pass over both."""
+    n, shape = instance.drive.n_steps, box.dwell.lo.shape
+    temp = [box.middle_temperature, box.cell_temperature]
+    lo, hi = (np.concatenate([getattr(x, end).ravel() for x in temp]) for end in ("lo", "hi"))
+    at_stops = np.repeat(stack(instance, "cabin_heat_kw"), shape[1])
+    demand = np.concatenate([instance.drive.cabin_heat_kw, at_stops])
+    power, heat, _ = pump_limits(
+        instance, demand, range1(instance.vehicle.heat_pump_cop, Interval(lo, hi))
+    )
+    on = power > 0.0
+    planes = []
+    if on.any():
+        planes = _planes(
+            instance, Interval(np.zeros(int(on.sum())), power[on]), demand[on],
+            Interval(lo[on], hi[on]),
+        )  # fmt: skip
+    first = int(on[:n].sum())
+    return (
+        Pump(power[:n], heat[:n], [(name, x[..., :first], sign) for name, x, sign in planes]),
+        Pump(
+            power[n:].reshape(shape), heat[n:].reshape(shape),
+            [(name, x[..., first:], sign) for name, x, sign in planes],
+        ),
+    )  # fmt: skip
+
+
+def _planes(
     instance: Instance, power: Interval, demand: Array, temp: Interval
 ) -> list[tuple[str, Array, float]]:
-    """Return the planes of the heat pump, named, with their sign (+1: from above)."""
     cop, droop = instance.vehicle.heat_pump_cop, instance.vehicle.heat_pump_droop_per_kw
     out = [
         ("heat above", envelope_pump_heat_over(cop, droop, power, temp), 1.0),

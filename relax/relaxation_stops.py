@@ -19,11 +19,11 @@ from relax.envelopes_charge import (
     make_charge_grid,
     range_of_planes,
 )
-from relax.intervals import Interval, range1
+from relax.intervals import Interval
 from relax.program import Term
-from relax.reach_heat import COOLING_SLACK_K, pump_limits
+from relax.reach_heat import COOLING_SLACK_K
 from relax.relaxation_drive import LEAST_RESISTANCE_OHM
-from relax.relaxation_model import Array, Index, Model, middle, pick, pump_planes, stack
+from relax.relaxation_model import Array, Index, Model, middle, stack
 
 __all__ = ["STOP_TEMPERATURES", "add_stops"]
 
@@ -42,7 +42,7 @@ def add_stops(model: Model) -> None:
         "time_price_per_h",
     )}  # fmt: skip
     q, g = np.broadcast_to(column["cabin_heat_kw"], (S, K)), column["heat_loss_kw_per_k"]
-    pump_hi, heat_hi, _ = pump_limits(instance, q, range1(vehicle.heat_pump_cop, temp))
+    pump = model.pumps[1]
     into = stack(instance, "detour_in_kwh")[:, None]
     cell_energy = box.cell_energy(stack(instance, "detour_out_kwh"))
     tables = make_charge_grid(
@@ -65,8 +65,8 @@ def add_stops(model: Model) -> None:
         ("temp_dwell", every, 0.5, corners.min(axis=0) - 1e-9, corners.max(axis=0) + 1e-9),
         ("cell_heater", every & (vehicle.heater_kw > 0.0), 0.1, 0.0, vehicle.heater_kw * y_hi),
         ("cell_cooling", cools, 0.1, 0.0, vehicle.cooling_kw * y_hi),
-        ("cell_pump", pump_hi > 0.0, 0.05, 0.0, pump_hi * y_hi),
-        ("cell_pump_heat", pump_hi > 0.0, 0.05, 0.0, (heat_hi + 1e-9) * y_hi),
+        ("cell_pump", pump.power > 0.0, 0.05, 0.0, pump.power * y_hi),
+        ("cell_pump_heat", pump.power > 0.0, 0.05, 0.0, (pump.heat + 1e-9) * y_hi),
         ("cell_limit", every, 50.0, 0.0, tables.power_range.hi.reshape(S, K) * (1.0 + 1e-9)),
         ("occupied", occupied, 0.5, 0.0, longest),
     ):
@@ -105,7 +105,7 @@ def add_stops(model: Model) -> None:
         )  # fmt: skip
     for name, columns, most in (
         ("dwell", y, None), ("cell heater", hb, None),
-        ("cell cooling", ac, vehicle.cooling_kw), ("cell pump", hp, pump_hi),
+        ("cell cooling", ac, vehicle.cooling_kw), ("cell pump", hp, pump.power),
         ("cell pump heat", h, q),
     ):  # fmt: skip
         on_ = columns >= 0
@@ -135,7 +135,7 @@ def add_stops(model: Model) -> None:
     rows.less("occupied at least", np.zeros(free.size), (v["occupied"][occupied], -1.0))
     _add_charge_time(model, tables)
     _add_stop_loss(model, tables, rho, rho_range)
-    _add_products(model, pump_hi, q)
+    _add_products(model)
     price = column["price_per_kwh"]
     names = ("cell_loss", "dwell", "cell_heater", "cell_cooling", "cell_pump", "cell_pump_heat")
     for cost_name, (_, a) in zip(names, power, strict=True):
@@ -145,9 +145,9 @@ def add_stops(model: Model) -> None:
     model.cost["occupied"] = stack(instance, "occupancy_price_per_h")
 
 
-def _add_products(model: Model, pump_hi: Array, q: Array) -> None:
+def _add_products(model: Model) -> None:
     """X = T * y and, through it, the heat pump in the cells: planes times dwell (R8)."""
-    rows, box, instance, v = model.rows, model.box, model.instance, model.v
+    rows, box, v = model.rows, model.box, model.v
     y, X, hp, h = (v[x] for x in ("dwell", "temp_dwell", "cell_pump", "cell_pump_heat"))
     t0, t1, temp = v["border"][:, :-1], v["border"][:, 1:], box.cell_temperature
     shape = y.shape
@@ -161,15 +161,13 @@ def _add_products(model: Model, pump_hi: Array, q: Array) -> None:
             unit=used,
         )  # fmt: skip
     on = hp >= 0
-    if on.any():
-        power = Interval(np.zeros(int(on.sum())), pump_hi[on])
-        for name, planes, sign in pump_planes(instance, power, q[on], pick(temp, on)):
-            first, second = (h[on], hp[on]) if name.startswith("heat") else (hp[on], h[on])
-            rows.less(
-                f"cell pump {name}", np.zeros(planes[:, 2].shape), (first, sign),
-                (second, -sign * planes[:, 0]), (X[on], -sign * planes[:, 1]),
-                (y[on], -sign * planes[:, 2]),
-            )  # fmt: skip
+    for name, planes, sign in model.pumps[1].planes:
+        first, second = (h[on], hp[on]) if name.startswith("heat") else (hp[on], h[on])
+        rows.less(
+            f"cell pump {name}", np.zeros(planes[:, 2].shape), (first, sign),
+            (second, -sign * planes[:, 0]), (X[on], -sign * planes[:, 1]),
+            (y[on], -sign * planes[:, 2]),
+        )  # fmt: skip
 
 
 def _add_charge_time(model: Model, tables: ChargeGrid) -> None:
