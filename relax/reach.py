@@ -25,8 +25,9 @@ Array = npt.NDArray[np.float64]
 
 FULL_SLACK_KWH = 1e-6
 """How far below the largest energy a battery counts as full: more than rounding [kWh]."""
-ROUNDS = 3
-"""Sweeps of ``make_box``; a fourth changes the bound by less than 0.01 % on the paper trip."""
+ROUNDS = 2
+"""Sweeps of ``make_box``; a third raises first bounds by at most 0.04 % on the paper trip, by 1.2 %
+with four stops from Goteborg to Stockholm, and takes the time that it saves."""
 
 
 def _least(start: Array, cap: Array, used: Array) -> Array:
