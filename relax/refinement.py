@@ -35,6 +35,11 @@ NEARLY_FEASIBLE = 1e-2
 """Violation that further steps are worth, however little they gain [kWh, K, kW, h]."""
 GROW = 0.4
 """Share of the predicted gain above which the trust region grows."""
+SETTLED = 10.0
+"""Multiple of the tolerance: a step that was predicted to gain at most this, did gain it, and was
+not held back by the trust region is the last one; the next would gain the square of it."""
+AS_PREDICTED = 0.25
+"""Relative difference between gain and prediction up to which it did."""
 LEAST_TRUST_K = 0.05
 """Trust region below which the search ends: it stands on a kink [K]."""
 MAX_RESTARTS = 1
@@ -404,6 +409,13 @@ def _descend(
         if gained > GROW * predicted and trust.temperature_k < LARGEST_TRUST_K:
             trust = trust.scaled(2.0)
         controls, now, value = trial, then, value_of(then)
+        if (
+            predicted <= SETTLED * least
+            and abs(gained - predicted) <= AS_PREDICTED * predicted
+            and trust.temperature_k >= TrustRegion().temperature_k
+            and is_feasible(now)
+        ):
+            break
         multipliers = solution.z
         watch = step.watch.extended(instance, now)
         if watch != step.watch:
