@@ -20,6 +20,7 @@ from relax.plan import Controls
 from relax.proof import Step
 from relax.refinement import Refined, RefineSettings, best_of, refine
 from relax.relaxed_point import Optimum, RelaxedPoint
+from relax.simulate import Simulation
 from relax.starts import (
     best_start,
     even_start,
@@ -131,12 +132,14 @@ def refine_node(setting: Setting, node: Node, starts: list[Controls] | None = No
     begin = time.perf_counter()
     instance = setting.instance(node.row.subset)
     first = starts is None
+    simulation = Simulation(instance)
     if starts is None:
-        starts = [best_start(instance, node.point, node.row.lower_bound)]
-    found = [refine(instance, start, setting.refine) for start in starts]
+        starts = [best_start(instance, node.point, node.row.lower_bound, simulation)]
+    had = node.refined
+    known = had.trajectory if had is not None and had.feasible else None
+    found = [refine(instance, start, setting.refine, simulation, known) for start in starts]
     if first and not any(one.feasible for one in found):  # may miss a limit by a hair
         found.append(refine(instance, even_start(instance), setting.refine))
-    had = node.refined
     best = best_of([*([had] if had else []), *found], instance)
     if had is not None and had.feasible and had.trajectory.cost < best.trajectory.cost:
         best = had  # both hold; merit would prefer the dearer one for missing by less

@@ -40,6 +40,8 @@ SETTLED = 10.0
 not held back by the trust region is the last one; the next would gain the square of it."""
 AS_PREDICTED = 0.25
 """Relative difference between gain and prediction up to which it did."""
+SAME_PLACE = 0.3
+"""Trajectories this near to each other, and of the same cost, lead to the same optimum [K, kWh]."""
 LEAST_TRUST_K = 0.05
 """Trust region below which the search ends: it stands on a kink [K]."""
 MAX_RESTARTS = 1
@@ -287,6 +289,8 @@ def refine(
     instance: Instance,
     start: Controls,
     settings: RefineSettings | None = None,
+    simulation: Simulation | None = None,
+    known: Trajectory | None = None,
 ) -> Refined:
     """Improve controls to a locally optimal plan of the transcription.
 
@@ -298,20 +302,24 @@ def refine(
         Any controls.
     settings : RefineSettings, optional
         When to stop and how to solve.
+    simulation : Simulation, optional
+        Of the instance; one that has just run ``start`` need not do so again.
+    known : Trajectory, optional
+        A locally optimal one: a search that arrives there ends.
 
     Returns
     -------
     Refined
         The best iterate; ``feasible`` says whether it keeps every limit.
     """
-    settings = settings or RefineSettings()
-    found = first = _descend(instance, start, settings, 1.0)
+    settings, simulation = settings or RefineSettings(), simulation or Simulation(instance)
+    found = first = _descend(simulation, start, settings, 1.0, known)
     for weight in DEARER:
         left = settings.max_programs - found.programs
         if found.feasible or left <= 0 or found.trajectory.cost >= settings.hopeless:
             break
         begin = start if found is first else found.controls
-        again = _descend(instance, begin, replace(settings, max_programs=left), weight)
+        again = _descend(simulation, begin, replace(settings, max_programs=left), weight)
         found = replace(
             again,
             programs=found.programs + again.programs,
@@ -324,10 +332,14 @@ def refine(
 
 
 def _descend(
-    instance: Instance, start: Controls, settings: RefineSettings, weight: float
+    simulation: Simulation,
+    start: Controls,
+    settings: RefineSettings,
+    weight: float,
+    known: Trajectory | None = None,
 ) -> Refined:
     """Improve controls until the merit with penalties times a weight gains no more."""
-    simulation = Simulation(instance)
+    instance = simulation.instance
     controls, now = complete(simulation, start)
 
     def value_of(trajectory: Trajectory) -> float:
@@ -416,11 +428,20 @@ def _descend(
             and is_feasible(now)
         ):
             break
+        if known is not None and abs(now.cost - known.cost) <= least and _is_near(now, known):
+            break
         multipliers = solution.z
         watch = step.watch.extended(instance, now)
         if watch != step.watch:
             step, multipliers = QuadraticStep(instance, watch), None
     return Refined(controls, now, is_feasible(now), programs, seconds)
+
+
+def _is_near(now: Trajectory, known: Trajectory) -> bool:
+    """Return whether two trajectories differ by less than decides where a search ends."""
+    apart_k = np.abs(now.temperature_c - known.temperature_c).max()
+    apart_kwh = np.abs(now.energy_kwh - known.energy_kwh).max()
+    return bool(apart_k <= SAME_PLACE and apart_kwh <= SAME_PLACE)
 
 
 def _occupancy(instance: Instance, now: Trajectory) -> float:

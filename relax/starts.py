@@ -122,7 +122,12 @@ def warm_start(
     )
 
 
-def best_start(instance: Instance, point: RelaxedPoint | None, bound: float) -> Controls:
+def best_start(
+    instance: Instance,
+    point: RelaxedPoint | None,
+    bound: float,
+    simulation: Simulation | None = None,
+) -> Controls:
     """Return the most promising start: the relaxed one if near its bound, else the best of a few.
 
     Parameters
@@ -133,8 +138,10 @@ def best_start(instance: Instance, point: RelaxedPoint | None, bound: float) -> 
         Relaxed optimum.
     bound : float
         Lower bound of the subset [currency].
+    simulation : Simulation, optional
+        Of the instance; keeps the start's trajectory for ``refine``.
     """
-    simulation = Simulation(instance)
+    simulation = simulation or Simulation(instance)
 
     def completed(controls: Controls) -> tuple[float, Controls]:
         controls, trajectory = complete(simulation, controls)

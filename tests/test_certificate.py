@@ -223,9 +223,7 @@ def test_the_page_names_every_label_and_every_envelope_and_no_other() -> None:
     envelopes = {*relax.envelopes.__all__, *relax.envelopes_charge.__all__}
     named = set(re.findall(r"envelope_\w+", page))
     assert named == {e for e in envelopes if e.startswith("envelope_")}
-    functions = re.findall(
-        r"`(_?(?:(?:add|make|measure|certify)_\w+|propagate|pump_planes))`", page
-    )
+    functions = re.findall(r"`(_?(?:(?:add|make|measure|certify)_\w+|propagate))`", page)
     assert functions and all(f"def {name}(" in code for name in functions)
 
 

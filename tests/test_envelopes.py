@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from relax import envelopes_charge
 from relax.envelopes import (
     affine_over,
     envelope_conductance_over,
@@ -168,8 +169,22 @@ def charging(case: Case, term: str) -> Built:
     r = r / np.interp(x[0], case.square.x, case.square.f)
     rho = r * np.minimum(power, np.interp(x[0], case.charger.x, case.charger.f))
     assert (rho <= bounds.hi).all() and (rho >= bounds.lo).all()
-    check_ranges(planes, tables, (e, t), x)
+    if planes.size:  # none on wide boxes
+        check_ranges(planes, tables, (e, t), x)
     return "over", rho, planes, x
+
+
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("width", [1.0, 0.1, 0.0])
+def test_wide_boxes_get_the_range_of_the_loss_alone(
+    width: float, seed: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(envelopes_charge, "WIDE_NODES", 0)
+    _, rho, planes, _ = charging(Case(seed, width), "loss")  # asserts the range
+    assert planes.shape == (0, 3, BOXES)
+    monkeypatch.setattr(envelopes_charge, "WIDE_NODES", 1000)
+    assert charging(Case(seed, width), "loss")[2].shape == (2, 3, BOXES)
+    assert rho.shape == (POINTS, BOXES)
 
 
 def check_ranges(

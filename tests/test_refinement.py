@@ -19,12 +19,20 @@ from relax import (
     idle_controls,
     make_instance,
     refine,
+    refinement,
     simulate,
 )
 from relax.instance import MIN_CHARGE_KWH
-from relax.refinement import FEASIBLE, complete, is_feasible, merit, penalty_prices
+from relax.refinement import (
+    FEASIBLE,
+    SAME_PLACE,
+    complete,
+    is_feasible,
+    merit,
+    penalty_prices,
+)
 from relax.simulate import Simulation
-from relax.starts import even_start, split_starts
+from relax.starts import even_start, split_starts, warmer_start
 
 Array = npt.NDArray[np.float64]
 
@@ -156,6 +164,29 @@ def test_refining_again_gains_nothing(name: str) -> None:
     instance, found = CASES[name], refined(name)
     again = refine(instance, found.controls)
     assert again.trajectory.cost >= found.trajectory.cost * (1.0 - 1e-4)
+
+
+@pytest.mark.parametrize("name", ["one stop", "two stops", "winter", "hot"])
+def test_a_search_that_arrives_at_a_known_plan_ends_there(name: str) -> None:
+    instance, found = CASES[name], refined(name)
+    start = warmer_start(instance, found.controls)
+    alone = refine(instance, start)
+    again = refine(instance, start, known=alone.trajectory)
+    assert again.feasible and again.programs <= alone.programs
+    assert again.trajectory.cost == pytest.approx(alone.trajectory.cost, rel=1e-4)
+    elsewhere = replace(
+        alone.trajectory, temperature_c=alone.trajectory.temperature_c + 2.0 * SAME_PLACE
+    )
+    assert refine(instance, start, known=elsewhere).programs == alone.programs
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_a_last_step_is_recognised_without_loss(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    found = refined(name)
+    monkeypatch.setattr(refinement, "SETTLED", 0.0)
+    longer = refine(CASES[name], even_start(CASES[name]))
+    assert found.programs <= longer.programs
+    assert found.trajectory.cost <= longer.trajectory.cost * (1.0 + 2e-5)
 
 
 @pytest.mark.parametrize("ambient", [30.0, 33.0])

@@ -18,6 +18,7 @@ from relax import idle_controls, load_trip, make_instance, refine, simulate
 from relax.bound import relax_subset
 from relax.instance import make_drive
 from relax.refinement import Refined, RefineSettings, _descend, best_of, is_feasible
+from relax.simulate import Simulation
 from relax.starts import best_start, even_start, further_starts, thinned_starts, warmer_start
 
 FOUND = {
@@ -80,7 +81,9 @@ def test_a_kelvin_may_be_worth_a_hundred_times_the_usual_penalty() -> None:
     relaxed = relax_subset(instance)
     assert relaxed.lower_bound is not None
     start = best_start(instance, relaxed.point, relaxed.lower_bound)
-    assert [_descend(instance, start, RefineSettings(), w).feasible for w in (1.0, 10.0)] == [
+    assert [
+        _descend(Simulation(instance), start, RefineSettings(), w).feasible for w in (1.0, 10.0)
+    ] == [
         False,
         False,
     ]
@@ -168,7 +171,7 @@ def test_the_stops_of_the_best_plan_are_left_out_one_by_one(
         return refine_thinned(setting, node, plan)
 
     monkeypatch.setattr(explore, "refine_thinned", spy)
-    result = plan(load_trip("goteborg-stockholm-winter", overrides={"start.soc": 0.35}))
+    result = plan(load_trip("goteborg-stockholm-winter", overrides={"start.soc": 0.7}))
     assert result.plan is not None and seen
     for whole, part, outcome in seen:
         assert set(part) < set(whole) and len(part) == len(whole) - 1

@@ -29,7 +29,7 @@ from relax import (
 )
 from relax.instance import MIN_CHARGE_KWH
 from relax.plan import StopControls
-from relax.simulate import Simulation
+from relax.simulate import Simulation, Thermostat
 
 Array = npt.NDArray[np.float64]
 
@@ -433,6 +433,21 @@ def test_keeping_a_prefix_changes_nothing(keep: int) -> None:
     for _ in range(2):  # and again: the kept prefix must survive its use
         _assert_equal(simulation.run(changed, keep=keep), simulate(instance, changed))
     _assert_equal(simulation.run(first), simulate(instance, first))
+
+
+def test_the_same_controls_are_not_simulated_twice_in_a_row() -> None:
+    instance = CASES["winter"]
+    rng = np.random.default_rng(5)
+    first, second = random_controls(instance, rng), random_controls(instance, rng)
+    simulation = Simulation(instance)
+    once = simulation.run(first)
+    assert simulation.run(first) is once
+    simulation.run(second)
+    _assert_equal(simulation.run(first), once)
+    cold = Thermostat([-40.0] * instance.drive.n_steps, [[-40.0] * instance.cells] * 3)
+    unheated = simulation.run(first, thermostat=cold)  # other heaters, though the same controls
+    assert unheated.heater_kw.max() < once.heater_kw.max()
+    _assert_equal(simulation.run(first), once)
 
 
 def _assert_equal(a: Trajectory, b: Trajectory) -> None:
