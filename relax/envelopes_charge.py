@@ -206,10 +206,10 @@ def _cell_corners(values: Array) -> list[Array]:
     return [cold[:, :-1], cold[:, 1:], warm[:, :-1], warm[:, 1:]]
 
 
-def _of_corners(choose: np.ufunc, values: Array) -> Array:
-    """Return the least or largest of every cell's corners, (c, k - 1, l - 1)."""
-    ends = choose(values[:, :-1], values[:, 1:])
-    return np.asarray(choose(ends[:, :, :-1], ends[:, :, 1:]))
+def _largest_corner(values: Array) -> Array:
+    """Return the largest of every cell's four corners, (c, k - 1, l - 1)."""
+    ends = np.maximum(values[:, :-1], values[:, 1:])
+    return np.asarray(np.maximum(ends[:, :, :-1], ends[:, :, 1:]))
 
 
 def _above(values: Array, e: Array, t: Array, s_e: Array, s_t: Array) -> Array:
@@ -342,7 +342,7 @@ def envelope_stop_loss_over(
     )
     if grid.power[0].size > WIDE_NODES:
         # on every table cell at most the product of the largest factors
-        most = np.min([_of_corners(np.maximum, p) for p in families], axis=0)
+        most = np.min([_largest_corner(p) for p in families], axis=0)
         kappa, R = grid.inverse_square, grid.resistance
         most *= np.maximum(kappa[:, 1:], kappa[:, :-1])[:, :, None]
         most *= np.maximum(R[:, 1:], R[:, :-1])[:, None, :]
