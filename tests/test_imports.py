@@ -19,7 +19,7 @@ ONLY_IN = {
     "clarabel": {"relax/solve.py"},
     "osqp": {"relax/solve.py"},
     "cvxpy": {"relax/spec.py"},
-    "matplotlib": {"relax/plot.py"},
+    "matplotlib": {"relax/panels.py", "relax/plot.py"},
     "casadi": set(),
     "pandas": set(),
     "benchmarks": set(),

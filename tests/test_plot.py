@@ -15,7 +15,8 @@ from matplotlib.figure import Figure
 from trips import small_trip
 
 from enumerate import plan
-from relax.plot import plot_case, plot_power, plot_soc, plot_temperature, save_plots
+from relax.panels import plot_power, plot_soc, plot_temperature
+from relax.plot import plot_case, save_plots
 from relax.report import PlanReport
 from relax.trip import Trip
 
