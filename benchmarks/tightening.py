@@ -25,7 +25,7 @@ if __name__ == "__main__":
     make_single_threaded()
 
 from enumerate import plan, tree
-from relax import envelopes_charge, reach_heat, relaxation_stops, tighten
+from relax import envelopes_charge, reach_heat, relaxation_drive, relaxation_stops, tighten
 from relax.intervals import Interval
 
 __all__ = ["RULES", "main", "without"]
@@ -64,6 +64,7 @@ RULES: dict[str, Callable[[], Any]] = {
     "small families": lambda: patch.object(tree, "FEW_SUBSETS", 0),
     "planes' own extremes": lambda: patch.object(relaxation_stops, "range_of_planes", _wide),
     "planes above stop losses": lambda: patch.object(envelopes_charge, "WIDE_NODES", 0),
+    "(with all cones)": lambda: patch.object(relaxation_drive, "NEAR_KW", -1.0),
     "(with least charges too)": lambda: _worth("charge", (0.5, 0.5)),
 }
 """What is left out, by the heading of its column."""

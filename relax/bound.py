@@ -92,7 +92,7 @@ def relax_subset(
     if box.empty:
         seconds = time.perf_counter() - begin
         return RelaxedSubset(SolveStatus.INFEASIBLE, None, None, True, (), seconds, 0.0)
-    program = build_relaxation(instance, box)
+    program = build_relaxation(instance, box, lean=True)
     build_s = time.perf_counter() - begin
     solution = solve_cone(program, settings or ROOT_SETTINGS)
     begin = time.perf_counter()

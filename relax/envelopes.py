@@ -11,6 +11,8 @@ the last coefficient is the offset. Knows nothing of programs and of trips.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import numpy.typing as npt
 
@@ -38,6 +40,9 @@ STRAIGHT = 1e-13
 """A droop below this bends the heat by less than SAFETY, and its stationary point is rounding."""
 FLAT = 1e-9
 """Box widths below this count as zero when a slope is chosen (never for an offset)."""
+TANGENTS = ((0.15, 0.25), (0.15, 0.75), (0.5, 0.25), (0.5, 0.75))
+"""Shares of power and temperature where planes touch a driving loss: relaxed optima mostly have
+the heater off, which is at 5 to 20 % of the powers that a box allows."""
 
 
 def nodes(table: Table1, x: Interval, kinks: str = "all") -> Array:
@@ -195,7 +200,7 @@ def envelope_loss_under(
     energy: Interval,
     temp: Interval,
     ripple: Array,
-    at: tuple[float, ...] = (0.25, 0.75),
+    at: Sequence[tuple[float, float]] = TANGENTS,
 ) -> Array:
     """Planes in (P, E, T) below L = R(T)/U^2(E) * (P^2 + ripple), shape (m, 4, n).
 
@@ -211,17 +216,16 @@ def envelope_loss_under(
         Box.
     ripple : ndarray, shape (n,)
         Variance of the power [kW^2].
-    at : tuple of float
-        Where slopes are taken, as shares of the temperature interval.
+    at : sequence of pair of float
+        Where slopes are taken, as shares of the intervals of power and temperature.
     """
     t = nodes(resistance, temp, "convex")
     R = _at(resistance, t)
     u_slope, u_zero = affine_over(square, energy)
     u = u_slope * energy.mid + u_zero
-    p0 = power.mid
+    shares = np.array(at).T[..., None]
+    p0, t0 = (x.lo + share * x.width for x, share in zip((power, temp), shares, strict=True))
     z0 = p0**2 + ripple
-    share = np.array(at)[:, None]
-    t0 = temp.lo + share * temp.width
     r0 = _at(resistance, t0) / u
     s_p, s_e = 2.0 * r0 * p0, -r0 * z0 * u_slope / u
     s_t = _steepness(resistance, t0) * z0 / u
@@ -277,17 +281,11 @@ def envelope_pump_heat_over(cop: Table1, droop: float, power: Interval, temp: In
     return np.stack([s_h, s_t, _raise(np.max(gaps, axis=0), c_hi * top)], axis=1)
 
 
-def envelope_pump_heat_under(
-    cop: Table1,
-    droop: float,
-    power: Interval,
-    temp: Interval,
-    at: tuple[float, ...] = (0.3, 0.7),
-) -> Array:
-    """Planes in (hp, T) below h = cop(T) * hp * (1 - droop * hp), shape (1 + m, 3, n).
+def envelope_pump_heat_under(cop: Table1, droop: float, power: Interval, temp: Interval) -> Array:
+    """Plane in (hp, T) below h = cop(T) * hp * (1 - droop * hp), shape (1, 3, n).
 
-    Under-estimators: h is piecewise affine in T and concave in hp, so it is least
-    at nodes of T and ends of hp. Needs cop >= 0.
+    Under-estimator: the chord in hp at the least cop. h is piecewise affine in T and
+    concave in hp, so the gap is least at nodes of T and ends of hp. Needs cop >= 0.
 
     Parameters
     ----------
@@ -297,22 +295,14 @@ def envelope_pump_heat_under(
         Loss of it per power [1/kW], >= 0.
     power, temp : Interval, shape (n,)
         Box.
-    at : tuple of float
-        Where slopes in T are taken, as shares of the temperature interval.
     """
-    t = nodes(cop, temp, "convex")
-    c = _at(cop, t)
-    top = power.hi
-    chord = 1.0 - droop * (power.lo + power.hi)
-    c_lo, c_hi = c.min(axis=1), c.max(axis=1)
-    t0 = temp.lo + np.array(at)[:, None] * temp.width
-    full = top * (1.0 - droop * top)
-    s_t = np.concatenate([np.zeros((1, top.size)), full * _steepness(cop, t0)])
-    s_h = np.stack([c_lo * chord] + [c_hi * chord] * len(at))
-    x = np.stack([power.lo, power.hi], axis=1)
-    value = c[:, None, :] * (x * (1.0 - droop * x))[:, :, None]
-    low = (value[None] - (s_h[..., None] * x)[..., None]) - (s_t[..., None] * t)[:, :, None, :]
-    return np.stack([s_h, s_t, -_raise(-low.min(axis=(2, 3)), c_hi * top)], axis=1)
+    c = _at(cop, nodes(cop, temp, "convex"))
+    s_h = c.min(axis=1) * (1.0 - droop * (power.lo + power.hi))
+    ends = [
+        (c * (x * (1.0 - droop * x))[:, None]).min(axis=1) - s_h * x for x in (power.lo, power.hi)
+    ]
+    low = -_raise(-np.minimum(*ends), c.max(axis=1) * power.hi)
+    return np.stack([s_h, np.zeros_like(s_h), low])[None]
 
 
 def envelope_pump_power_under(

@@ -387,7 +387,7 @@ def envelope_stop_loss_under(
     power: Array,
     at: Sequence[float] = (0.15, 0.4, 0.65, 0.9),
 ) -> Array:
-    """Planes in (e, y, T) below the loss of a cell l = r(T) e^2 / y, shape (2m, 4, c).
+    """Planes in (e, y, T) below the loss of a cell l = r(T) e^2 / y, shape (m, 4, c).
 
     Under-estimators: for fixed T the loss is a perspective, above its tangent
     r * (2 theta e - theta^2 y) for every theta; theta is chosen to cancel the plane's
@@ -413,19 +413,16 @@ def envelope_stop_loss_under(
     t0 = temp.lo + np.array(at)[:, None] * temp.width
     steepness = resistance.slopes[np.searchsorted(resistance.x[1:-1], t0, side="right")]
     r0 = np.maximum(np.interp(t0, resistance.x, resistance.f), 0.0) / square_hi
-    out = []
-    for e0 in (energy.mid, energy.hi):
-        s_e, s_y = 2.0 * r0 * power, -r0 * power**2
-        s_t = steepness / square_hi * e0 * power
-        theta = np.sqrt(-s_y[..., None] / np.maximum(r, 1e-12))
-        coefficient = 2.0 * r * theta - s_e[..., None]
-        spare = np.minimum(-r * theta**2 - s_y[..., None], 0.0)
-        low = np.minimum(coefficient * energy.lo[:, None], coefficient * energy.hi[:, None])
-        # rounding may leave a negative coefficient of y: y <= 1000 h on any box
-        low = (low + spare * 1e3 - s_t[..., None] * t).min(axis=2)
-        size = r.max(axis=1) * energy.hi * power
-        out.append(np.stack([s_e, s_y, s_t, low - SAFETY * (1e-3 + size + np.abs(low))], axis=1))
-    return np.concatenate(out)
+    s_e, s_y = 2.0 * r0 * power, -r0 * power**2
+    s_t = steepness / square_hi * energy.mid * power
+    theta = np.sqrt(-s_y[..., None] / np.maximum(r, 1e-12))
+    coefficient = 2.0 * r * theta - s_e[..., None]
+    spare = np.minimum(-r * theta**2 - s_y[..., None], 0.0)
+    low = np.minimum(coefficient * energy.lo[:, None], coefficient * energy.hi[:, None])
+    # rounding may leave a negative coefficient of y: y <= 1000 h on any box
+    low = (low + spare * 1e3 - s_t[..., None] * t).min(axis=2)
+    size = r.max(axis=1) * energy.hi * power
+    return np.stack([s_e, s_y, s_t, low - SAFETY * (1e-3 + size + np.abs(low))], axis=1)
 
 
 def envelope_grid_limit_over(grid: ChargeGrid, dwell: Interval) -> Array:

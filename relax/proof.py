@@ -101,7 +101,7 @@ class BoxProof:
             The box is empty.
         """
         self.check()
-        return build_relaxation(self.instance, self.box)
+        return build_relaxation(self.instance, self.box, lean=True)
 
     def check(self) -> None:
         """Raise ``Closed`` if the box is empty or holds no admissible number of stops."""

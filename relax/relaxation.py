@@ -147,7 +147,7 @@ def _add_passing(model: Model, before: Index, t_before: Index, begin: Interval) 
         rows.less("stops at most", [float(most)], *every)
 
 
-def build_relaxation(instance: Instance, box: Box) -> ConeProgram:
+def build_relaxation(instance: Instance, box: Box, *, lean: bool = False) -> ConeProgram:
     """Return the cone relaxation of a fixed subset on a box.
 
     Parameters
@@ -156,6 +156,9 @@ def build_relaxation(instance: Instance, box: Box) -> ConeProgram:
         Subset and grid.
     box : Box
         Not empty, from ``make_box`` or tightened.
+    lean : bool
+        Without the cones of driving losses where planes miss at most ``NEAR_KW``, as proofs
+        want it: as good a bound in less time.
 
     Returns
     -------
@@ -182,7 +185,7 @@ def build_relaxation(instance: Instance, box: Box) -> ConeProgram:
     if instance.vehicle.heat_pump_droop_per_kw * instance.vehicle.heat_pump_kw >= 1.0:
         raise ValueError("heat_pump_droop_per_kw * heat_pump_kw must stay below 1")
     with np.errstate(divide="raise", invalid="raise"):
-        model = Model(Assembly(), instance, box, {}, {}, make_pumps(instance, box))
+        model = Model(Assembly(), instance, box, {}, {}, make_pumps(instance, box), lean)
         _add_states(model)
         add_drive(model)
         if instance.stops:

@@ -21,12 +21,16 @@ from relax.reach import may_fill
 from relax.reach_heat import COOLING_SLACK_K
 from relax.relaxation_model import Array, Model, middle, pick
 
-__all__ = ["FLOOR_WIDTH_K", "LEAST_RESISTANCE_OHM", "add_drive"]
+__all__ = ["FLOOR_WIDTH_K", "LEAST_RESISTANCE_OHM", "NEAR_KW", "add_drive"]
 
 FLOOR_WIDTH_K = 0.5
 """Boxes that reach less than this below the cooling temperature get no chord: too steep [K]."""
 LEAST_RESISTANCE_OHM = 1e-6
 """Below this the cone of the loss from below is left out: its conductance is unbounded."""
+NEAR_KW = 0.05
+"""Where planes below a loss miss at most this of its curvature, a lean relaxation has no cone. So
+it is on nearly all propagated boxes, with the power known to 5 to 15 kW; ``benchmarks.bounds``
+says what that costs and saves."""
 
 
 def add_drive(model: Model) -> None:
@@ -151,6 +155,9 @@ def _add_loss(model: Model) -> None:
         )  # fmt: skip
     coned = range1(R, temp).lo > LEAST_RESISTANCE_OHM
     rows.less("loss at least", np.zeros(int((~coned).sum())), (L[~coned], -1.0))
+    if model.lean:  # planes touch at the middle of the powers, at least
+        r = range1(R, temp).hi / range1(square, energy).lo
+        coned &= r * (0.5 * box.power.width) ** 2 > NEAR_KW
     for name, on in (("loss cone", coned & (ripple == 0.0)), ("ripple cone", coned & (ripple > 0))):
         if not on.any():
             continue

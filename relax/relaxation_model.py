@@ -29,7 +29,7 @@ Index = npt.NDArray[np.int64]
 
 @dataclass
 class Model:
-    """What the parts share: the rows so far, and the columns of the chain of states."""
+    """What the parts share: the rows so far, the columns of the chain of states, whether lean."""
 
     rows: Assembly
     instance: Instance
@@ -37,6 +37,7 @@ class Model:
     v: dict[str, Index]
     cost: dict[str, npt.ArrayLike]
     pumps: tuple[Pump, Pump]
+    lean: bool
 
 
 def stack(instance: Instance, name: str) -> Array:
@@ -103,12 +104,11 @@ def _planes(
     instance: Instance, power: Interval, demand: Array, temp: Interval
 ) -> list[tuple[str, Array, float]]:
     cop, droop = instance.vehicle.heat_pump_cop, instance.vehicle.heat_pump_droop_per_kw
-    out = [
-        ("heat above", envelope_pump_heat_over(cop, droop, power, temp), 1.0),
-        ("heat below", envelope_pump_heat_under(cop, droop, power, temp), -1.0),
-    ]
+    above = envelope_pump_heat_over(cop, droop, power, temp)
+    below = [("heat below", envelope_pump_heat_under(cop, droop, power, temp), -1.0)]
     invertible = droop * instance.vehicle.heat_pump_kw < 0.499
     if invertible and np.all(range1(cop, temp).lo > 0.0):
         planes = envelope_pump_power_under(cop, droop, power, demand, temp)
-        out.append(("power below", planes, -1.0))
-    return out
+        below.append(("power below", planes, -1.0))
+        above = above[1:]  # without its slope in T the first adds nothing to these
+    return [("heat above", above, 1.0), *below]

@@ -104,11 +104,13 @@ def _pump(
     """Heat pump from both sides; with a dwell as ``time``, hp, h and T are products with it."""
     cop, droop = instance.vehicle.heat_pump_cop, instance.vehicle.heat_pump_droop_per_kw
     power = Interval(np.zeros_like(most), most)
-    rows = _above(h, envelope_pump_heat_over(cop, droop, power, temp), hp, T, times=time)
-    rows += _below(h, envelope_pump_heat_under(cop, droop, power, temp), hp, T, times=time)
+    above = envelope_pump_heat_over(cop, droop, power, temp)
+    rows = _below(h, envelope_pump_heat_under(cop, droop, power, temp), hp, T, times=time)
     if droop * instance.vehicle.heat_pump_kw < 0.499 and np.all(range1(cop, temp).lo > 0.0):
         planes = envelope_pump_power_under(cop, droop, power, q, temp)
         rows += _below(hp, planes, h, T, times=time)
+        above = above[1:]
+    rows += _above(h, above, hp, T, times=time)
     return [*rows, hp >= 0.0, h >= 0.0, hp <= cp.multiply(most, time), h <= cp.multiply(q, time)]
 
 

@@ -101,7 +101,7 @@ class StageProgram:
 
     def __init__(self, instance: Instance, box: Box) -> None:
         self.box = box
-        self.bare = build_relaxation(instance, box)
+        self.bare = build_relaxation(instance, box, lean=True)
         v, n = self.bare.variables, self.bare.q.size
         self.start = np.array([v["energy"][0], v["temperature"][0]])
         self.ends = bool(instance.stops)

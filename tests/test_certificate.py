@@ -19,7 +19,7 @@ import relax.envelopes
 import relax.envelopes_charge
 from relax.bound import relax_subset
 from relax.certificate import Certificate, check_structure, make_certificate
-from relax.certify import Infeasible, LowerBound, Unproved
+from relax.certify import Infeasible, LowerBound, Unproved, certify_lower_bound
 from relax.instance import make_instance
 from relax.intervals import Interval
 from relax.load import load_trip
@@ -27,7 +27,7 @@ from relax.program import ConeProgram, make_cone_program
 from relax.reach import make_box
 from relax.relaxation import build_relaxation
 from relax.simulate import idle_controls, simulate
-from relax.solve import SolveSettings
+from relax.solve import SolveSettings, solve_cone
 
 INSTANCE = make_instance(small_trip(), (0,))
 PROGRAM = build_relaxation(INSTANCE, make_box(INSTANCE))
@@ -40,9 +40,13 @@ def certificate() -> Certificate:
 
 def test_the_certificate_states_what_bound_and_simulation_state(certificate: Certificate) -> None:
     assert isinstance(certificate.bound, LowerBound)
-    other = relax_subset(INSTANCE, settings=SolveSettings(tolerance=1e-6)).lower_bound
-    assert other is not None
-    assert certificate.bound.value == pytest.approx(other, rel=1e-4)
+    settings = SolveSettings(tolerance=1e-6)
+    other = certify_lower_bound(PROGRAM, solve_cone(PROGRAM, settings).z)
+    assert isinstance(other, LowerBound)
+    assert certificate.bound.value == pytest.approx(other.value, rel=1e-4)
+    lean = relax_subset(INSTANCE, settings=settings).lower_bound
+    assert lean is not None
+    assert (1.0 - 1e-3) * other.value <= lean <= (1.0 + 1e-6) * other.value
     assert certificate.bound.value <= certificate.objective + 1e-9
     trajectory = simulate(INSTANCE, idle_controls(INSTANCE, (12.0,)))
     assert trajectory.violation.max() == 0.0

@@ -283,6 +283,25 @@ def test_prices_of_the_twin_are_parameters() -> None:
     assert spec.problem.value == pytest.approx(expected, rel=1e-5)
 
 
+@pytest.mark.parametrize("subset", [(1,), (0, 2)])
+def test_a_lean_program_lacks_cones_where_planes_are_near_and_nothing_else(
+    subset: tuple[int, ...],
+) -> None:
+    instance = make_instance(load_trip("paper-400km"), subset)
+    known, steps = make_box(instance), instance.drive.n_steps
+    wide = replace(known, power=Interval(known.power.lo - 100.0, known.power.hi + 100.0))
+    for box, left in ((known, 0), (wide, 3 * steps)):
+        lean, every = (build_relaxation(instance, box, lean=lean) for lean in (True, False))
+        assert every.rows["loss cone"].size == 3 * steps
+        assert lean.rows.get("loss cone", np.zeros(0)).size == left
+        assert {**lean.rows, "loss cone": 0}.keys() == every.rows.keys()
+        assert every.b.size - lean.b.size == 3 * steps - left
+    settings = SolveSettings(tolerance=1e-7)
+    lean, every = (build_relaxation(instance, known, lean=lean) for lean in (True, False))
+    low, high = (solve_cone(x, settings).objective + x.constant for x in (lean, every))
+    assert (1.0 - 5e-4) * high <= low <= (1.0 + 1e-6) * high
+
+
 def test_no_charge_is_infeasible_and_one_stop_is_not() -> None:
     trip = load_trip("paper-400km")
     assert relax_subset(make_instance(trip, ())).infeasible
