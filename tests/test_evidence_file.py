@@ -206,7 +206,7 @@ def put(*keys: Any) -> Any:
         ('{"format": "evrelax proofs", "version": NaN}', "NaN"),
         ("[]", "no file of proofs"),
         (put("format", "other"), "no file of proofs"),
-        (put("version", 1), "version 1, not 2"),
+        (put("version", 2), "version 2, not 3"),
         (put("grid", "cells", 10**9), "grid"),
         (put("grid", "step_km", 1e-9), "grid"),
         (put("cost", "nan"), "no number"),
