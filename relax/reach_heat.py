@@ -55,17 +55,16 @@ def pump_limits(instance: Instance, demand: Array, cop: Interval) -> tuple[Array
     droop, most = vehicle.heat_pump_droop_per_kw, vehicle.heat_pump_kw
     heat = np.minimum(demand, np.maximum(cop.hi, 0.0) * _heat_per_cop(instance))
     power = np.full(demand.shape, most)
-    if droop * most <= 0.5 and np.all(cop.lo > 0.0):  # h grows with hp: h <= q bounds hp
+    if np.all(cop.lo > 0.0):  # h grows with hp: h <= q bounds hp
         power = np.minimum(power, heat_pump_power(demand, cop.lo, droop))
     drawn = heat * np.maximum(0.0, 1.0 - 1.0 / np.maximum(cop.hi, 1.0))
     return power, heat, drawn
 
 
 def _heat_per_cop(instance: Instance) -> float:
-    """Largest hp * (1 - droop * hp) of the heat pump [kW]."""
-    droop, most = instance.vehicle.heat_pump_droop_per_kw, instance.vehicle.heat_pump_kw
-    best = most if droop * most <= 0.5 else 0.5 / droop
-    return best * (1.0 - droop * best)
+    """Largest hp * (1 - droop * hp) of the heat pump [kW]: at full power."""
+    most = instance.vehicle.heat_pump_kw
+    return most * (1.0 - instance.vehicle.heat_pump_droop_per_kw * most)
 
 
 def temperatures(

@@ -169,7 +169,7 @@ def build_relaxation(instance: Instance, box: Box, *, lean: bool = False) -> Con
     Raises
     ------
     ValueError
-        The box is empty, or the heat pump's heat falls with its power.
+        The box is empty.
 
     Examples
     --------
@@ -182,8 +182,6 @@ def build_relaxation(instance: Instance, box: Box, *, lean: bool = False) -> Con
     """
     if box.empty:
         raise ValueError(f"the box is empty: {box.empty}")
-    if instance.vehicle.heat_pump_droop_per_kw * instance.vehicle.heat_pump_kw >= 1.0:
-        raise ValueError("heat_pump_droop_per_kw * heat_pump_kw must stay below 1")
     with np.errstate(divide="raise", invalid="raise"):
         model = Model(Assembly(), instance, box, {}, {}, make_pumps(instance, box), lean)
         _add_states(model)

@@ -13,6 +13,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
+from relax.errors import InputError
 from relax.maps import Table1, Table2
 
 __all__ = ["Pack", "RoadLoad", "Vehicle"]
@@ -20,6 +21,8 @@ __all__ = ["Pack", "RoadLoad", "Vehicle"]
 Array = npt.NDArray[np.float64]
 
 
+LARGEST_DROOP = 0.5
+"""Share of its CoP that a heat pump may lose at full power: beyond, its heat falls with power."""
 ROUNDING_KWH = 1e-4
 """Energy beyond a table that is rounding of a drive: its limits are met to less [kWh]."""
 
@@ -167,13 +170,19 @@ class Vehicle:
     heat_pump_cop : Table1
         Coefficient of performance at vanishing power over battery temperature.
     heat_pump_droop_per_kw : float
-        cop(T, P) = cop(T) * (1 - droop * P) [1/kW].
+        cop(T, P) = cop(T) * (1 - droop * P) [1/kW]; at full power at most a half, so that
+        heat rises with power.
     cabin_heating_kw : Table1
         Heat demand of the cabin over ambient temperature [kW].
     cabin_cooling_kw : Table1
         Electrical power of cabin cooling over ambient temperature [kW].
     auxiliary_kw : float
         Constant consumers [kW].
+
+    Raises
+    ------
+    InputError
+        The heat pump's heat falls before its power is full: a heat would have two powers.
     """
 
     name: str
@@ -192,3 +201,14 @@ class Vehicle:
     cabin_heating_kw: Table1
     cabin_cooling_kw: Table1
     auxiliary_kw: float
+
+    def __post_init__(self) -> None:
+        """Check what every part of the model takes for granted."""
+        if self.heat_pump_droop_per_kw * self.heat_pump_kw > LARGEST_DROOP:
+            allowed = (
+                f"at most {LARGEST_DROOP / self.heat_pump_kw:g} with heat_pump_kw "
+                f"{self.heat_pump_kw:g}, so that heat rises with power"
+            )
+            raise InputError(
+                self.name, "heat_pump_droop_per_kw", self.heat_pump_droop_per_kw, allowed
+            )

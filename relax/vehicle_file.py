@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from relax.document import Origin
+from relax.errors import InputError
 from relax.maps import Table1, Table2
 from relax.schema import LimitProduct, LimitTable, VehicleFile
 from relax.vehicle import Pack, RoadLoad, Vehicle
@@ -200,34 +201,38 @@ def make_vehicle(
         check_covers(map_, PACK_C, lo, hi, origin, "the battery's temperature limits")
     heat_loss = table("heat_loss_kw_per_k", SPEED)
     check_covers(heat_loss, SPEED, 0.0, 0.0, origin, "parked")
-    return Vehicle(
-        name=spec.name,
-        pack=pack,
-        road_load=RoadLoad(
-            mass_kg=spec.mass_kg,
-            a_n=spec.road_load_a_n,
-            b_n_per_kmh=spec.road_load_b_n_per_kmh,
-            c_n_per_kmh2=spec.road_load_c_n_per_kmh2,
-            drive_efficiency=spec.drive_efficiency,
-            regen_efficiency=spec.regen_efficiency,
-            regen_max_kw=spec.regen_max_kw,
-            factor=spec.propulsion_factor,
-            heat_share=spec.drivetrain_heat_share,
-        ),
-        heat_loss_kw_per_k=heat_loss,
-        heater_kw=spec.heater_kw,
-        heater_battery_efficiency=spec.heater_battery_efficiency,
-        heater_cabin_efficiency=spec.heater_cabin_efficiency,
-        cooling_kw=spec.cooling_kw,
-        cooling_cop=spec.cooling_cop,
-        cooling_from_c=spec.cooling_from_c,
-        heat_pump_kw=spec.heat_pump_kw,
-        heat_pump_cop=cop,
-        heat_pump_droop_per_kw=spec.heat_pump_droop_per_kw,
-        cabin_heating_kw=table("cabin_heating_kw", AMBIENT_C),
-        cabin_cooling_kw=table("cabin_cooling_kw", AMBIENT_C),
-        auxiliary_kw=spec.auxiliary_kw,
-    )
+    heating, cooling = (table(f"cabin_{x}_kw", AMBIENT_C) for x in ("heating", "cooling"))
+    try:
+        return Vehicle(
+            name=spec.name,
+            pack=pack,
+            road_load=RoadLoad(
+                mass_kg=spec.mass_kg,
+                a_n=spec.road_load_a_n,
+                b_n_per_kmh=spec.road_load_b_n_per_kmh,
+                c_n_per_kmh2=spec.road_load_c_n_per_kmh2,
+                drive_efficiency=spec.drive_efficiency,
+                regen_efficiency=spec.regen_efficiency,
+                regen_max_kw=spec.regen_max_kw,
+                factor=spec.propulsion_factor,
+                heat_share=spec.drivetrain_heat_share,
+            ),
+            heat_loss_kw_per_k=heat_loss,
+            heater_kw=spec.heater_kw,
+            heater_battery_efficiency=spec.heater_battery_efficiency,
+            heater_cabin_efficiency=spec.heater_cabin_efficiency,
+            cooling_kw=spec.cooling_kw,
+            cooling_cop=spec.cooling_cop,
+            cooling_from_c=spec.cooling_from_c,
+            heat_pump_kw=spec.heat_pump_kw,
+            heat_pump_cop=cop,
+            heat_pump_droop_per_kw=spec.heat_pump_droop_per_kw,
+            cabin_heating_kw=heating,
+            cabin_cooling_kw=cooling,
+            auxiliary_kw=spec.auxiliary_kw,
+        )
+    except InputError as error:  # what cars of the library are held to as well
+        raise origin.error(error.field, error.value, error.allowed) from None
 
 
 def _heat_pump_cop(spec: VehicleFile, origin: Origin) -> Table1:
@@ -238,12 +243,6 @@ def _heat_pump_cop(spec: VehicleFile, origin: Origin) -> Table1:
             allowed = "required when heat_pump_kw is above 0: points [degrees C, CoP] or a number"
             raise origin.error("heat_pump_cop", None, allowed)
         points = 1.0
-    if spec.heat_pump_droop_per_kw * spec.heat_pump_kw > 0.5:
-        allowed = (
-            f"at most {0.5 / spec.heat_pump_kw:g} with heat_pump_kw {spec.heat_pump_kw:g}, "
-            "so that heat rises with power"
-        )
-        raise origin.error("heat_pump_droop_per_kw", spec.heat_pump_droop_per_kw, allowed)
     return make_points_table(points, "heat_pump_cop", origin, PACK_C, least=1.0)
 
 

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from itertools import combinations
 from typing import Any
 
 import cvxpy as cp
@@ -351,12 +350,7 @@ def test_an_invalid_row_would_be_noticed() -> None:
     assert program.slack(x)[rows].min() > -ROW_TOLERANCE > wrong.slack(x)[rows].min()
 
 
-@pytest.mark.parametrize("subset", [s for r in (1, 2) for s in combinations(range(2), r)])
-def test_rejects_what_it_cannot_relax(subset: tuple[int, ...]) -> None:
-    trip = small_trip(vehicle__heat_pump_kw=4.0, vehicle__heat_pump_droop_per_kw=0.3)
-    instance = make_instance(trip, subset)
-    with pytest.raises(ValueError, match="droop"):
-        build_relaxation(instance, make_box(instance))
+def test_rejects_an_empty_box() -> None:
     hopeless = make_instance(small_trip(start_soc=0.06), ())
     with pytest.raises(ValueError, match="empty"):
         build_relaxation(hopeless, make_box(hopeless))

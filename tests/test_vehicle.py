@@ -12,9 +12,10 @@ from hypothesis import strategies as st
 from scipy.integrate import quad
 from trips import small_trip
 
-from relax.errors import DomainError
+from relax.errors import DomainError, InputError
 from relax.load import load_vehicle, shipped_vehicles
 from relax.maps import Table1
+from relax.physics import heat_pump_heat
 from relax.vehicle import Pack
 
 Array = npt.NDArray[np.float64]
@@ -125,3 +126,12 @@ def test_energy_by_hand() -> None:
     assert float(pack.energy_kwh(0.5)) == pytest.approx(27.8, rel=1e-14)
     assert float(pack.energy_kwh(1.0)) == pytest.approx(27.8 + 31.0, rel=1e-14)
     assert pack.voltage_squared.at(27.8) == pytest.approx(133.225, rel=1e-14)
+
+
+def test_a_heat_pump_gives_more_heat_the_more_power_it_takes() -> None:
+    """Else one heat had two powers; cars that no file describes are held to it too."""
+    steepest = small_trip(vehicle__heat_pump_kw=4.0, vehicle__heat_pump_droop_per_kw=0.125).vehicle
+    power = np.linspace(0.0, 4.0, 50)
+    assert np.all(np.diff(heat_pump_heat(power, np.ones(50), 0.125)) > 0.0)
+    with pytest.raises(InputError, match=r"heat_pump_droop_per_kw: 0\.13; allowed: at most 0\.125"):
+        replace(steepest, heat_pump_droop_per_kw=0.13)
