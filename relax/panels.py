@@ -88,17 +88,17 @@ def _stairs(ax: Axes, edges: Array, values: Array, name: str, label: str, style:
     )
 
 
-def _with_stops(
-    report: PlanReport, values: Array, before: Array, after: Array
-) -> tuple[Array, Array]:
-    """Curve over distance that jumps at every stop."""
-    km = report.drive.node_km
-    if not report.stops:
+def _curve(trace: PlanReport | ChargeTrace, name: str) -> tuple[Array, Array]:
+    """Return a state over the time at a stop, or over distance, where it jumps at every stop."""
+    if isinstance(trace, ChargeTrace):
+        return edges_of(trace), getattr(trace, name)
+    km, values = trace.drive.node_km, getattr(trace.drive, name)
+    if not trace.stops:
         return km, values
-    place = np.repeat([s.position_km for s in report.stops], 2)
+    place = np.repeat([s.position_km for s in trace.stops], 2)
     at = np.argmin(np.abs(km[:, None] - place), axis=0) + 1
-    jump = np.column_stack([before, after]).ravel()
-    return np.insert(km, at, place), np.insert(values, at, jump)
+    jumps = [getattr(s, f"{end}_{name}") for s in trace.stops for end in ("arrive", "depart")]
+    return np.insert(km, at, place), np.insert(values, at, jumps)
 
 
 def plot_soc(ax: Axes, trace: PlanReport | ChargeTrace) -> Axes:
@@ -126,12 +126,7 @@ def plot_soc(ax: Axes, trace: PlanReport | ChargeTrace) -> Axes:
     >>> plot_soc(Figure().subplots(), trace).get_lines()[0].get_ydata().tolist()
     [20.0, 60.0]
     """
-    if isinstance(trace, PlanReport):
-        arrive = np.array([s.arrive_soc for s in trace.stops])
-        depart = np.array([s.depart_soc for s in trace.stops])
-        x, y = _with_stops(trace, trace.drive.soc, arrive, depart)
-    else:
-        x, y = edges_of(trace), trace.soc
+    x, y = _curve(trace, "soc")
     ax.plot(x, 100.0 * y, color=COLOUR["soc"], label="state of charge")
     ax.set_ylim(0.0, 100.0)
     ax.set_ylabel("SoC [%]")
@@ -151,12 +146,7 @@ def plot_temperature(ax: Axes, trace: PlanReport | ChargeTrace) -> Axes:
     >>> plot_temperature(Figure().subplots(), trace).get_lines()[0].get_ydata().tolist()
     [10.0, 20.0]
     """
-    if isinstance(trace, PlanReport):
-        arrive = np.array([s.arrive_temperature_c for s in trace.stops])
-        depart = np.array([s.depart_temperature_c for s in trace.stops])
-        x, y = _with_stops(trace, trace.drive.temperature_c, arrive, depart)
-    else:
-        x, y = edges_of(trace), trace.temperature_c
+    x, y = _curve(trace, "temperature_c")
     ax.plot(x, y, color=COLOUR["temperature"], label="battery temperature")
     ax.set_ylabel("battery [°C]")
     return ax
