@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from relax.driven import Replay
 from relax.errors import DomainError
-from relax.instance import Instance
+from relax.instance import MIN_CHARGE_KWH, Instance
 from relax.plan import Controls, Trajectory
 from relax.refinement import Refined, RefineSettings, is_feasible, refine
 from relax.replay import RULE_STOP_TIME, replay
@@ -68,20 +68,20 @@ def _drive(
     """Replay, with charging targets moved until the driven energies meet their limits."""
     targets = [float(s.energy_kwh[-1]) for s in trajectory.stops]
     driven = replay(trip, instance, controls, tuple(targets))
+    full = instance.energy_max_kwh
     for _ in range(MAX_DRIVES if targets else 0):
-        added = 0.0
         before = list(targets)
-        for m in range(1, len(targets)):
-            short = instance.stops[m].arrive_min_kwh - driven.stops[m].arrive_energy_kwh - added
-            if short > TARGET_TOLERANCE_KWH:
-                shift = min(short, instance.energy_max_kwh - targets[m - 1])
-                targets[m - 1] += shift
-                added += shift
-        last = len(targets) - 1
+        for m, (stop, done) in enumerate(zip(instance.stops, driven.stops, strict=True)):
+            raised = targets[m - 1] - before[m - 1] if m else 0.0
+            arrive = done.arrive_energy_kwh + raised
+            if m and stop.arrive_min_kwh - arrive > TARGET_TOLERANCE_KWH:
+                shift = min(stop.arrive_min_kwh - arrive, full - targets[m - 1])
+                targets[m - 1], arrive = targets[m - 1] + shift, arrive + shift
+            if arrive + MIN_CHARGE_KWH - targets[m] > TARGET_TOLERANCE_KWH:
+                targets[m] = min(arrive + MIN_CHARGE_KWH, full)
         missing = instance.end_energy_min_kwh - driven.final_energy_kwh
-        room = targets[last] - driven.stops[last].arrive_energy_kwh
-        shift = max(min(missing, instance.energy_max_kwh - targets[last]), -room)
-        targets[last] += shift
+        least = min(driven.stops[-1].arrive_energy_kwh + MIN_CHARGE_KWH, full)
+        targets[-1] = max(min(before[-1] + missing, full), least)
         if max(abs(a - b) for a, b in zip(before, targets, strict=True)) <= TARGET_TOLERANCE_KWH:
             targets = before  # those that were driven
             break
@@ -97,7 +97,7 @@ def _tightened(instance: Instance, driven: Replay, margin: float) -> Instance:
             instance = replace(instance, temperature_max_c=instance.temperature_max_c - amount)
         elif violation.unit == "K":
             instance = replace(instance, temperature_min_c=instance.temperature_min_c + amount)
-        elif violation.unit == "kWh" and "above" in violation.rule:
+        elif violation.unit == "kWh" and ("above" in violation.rule or "charged" in violation.rule):
             instance = replace(instance, energy_max_kwh=instance.energy_max_kwh - amount)
         elif violation.unit == "kWh":
             instance = replace(

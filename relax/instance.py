@@ -38,8 +38,8 @@ HEATER_SHARE = 0.9
 LEAST_ROOM_KW = 0.02
 """Charging power left when a charger cannot serve the cabin; the excess is a violation [kW]."""
 MIN_CHARGE_KWH = 0.1
-"""Least internal energy of a used stop [kWh]. Less is dominated by driving past:
-the stop costs its detour and brings nothing; and cells of zero energy have no power."""
+"""Least internal energy of a used stop [kWh]: cells of zero energy have no power. A rule of the
+model, which simulation and drive check; nobody heats at a charger without charging."""
 
 
 @dataclass(frozen=True)

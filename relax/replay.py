@@ -20,7 +20,7 @@ from relax.commands import check_controls, within_ratings
 from relax.driven import Arrival, Replay, ReplayStop, Violation
 from relax.errors import DomainError, InputError
 from relax.exact import ExactCar, discharge_power
-from relax.instance import HEATER_SHARE, LEAST_ROOM_KW, Instance, Stop
+from relax.instance import HEATER_SHARE, LEAST_ROOM_KW, MIN_CHARGE_KWH, Instance, Stop
 from relax.plan import Controls, StopControls
 
 if TYPE_CHECKING:
@@ -275,6 +275,8 @@ class _Driver:
             self.check_temperature(km)
             borders.append(list(self.state))
         state = self.state
+        missing = MIN_CHARGE_KWH - (target_kwh - begin[ENERGY])
+        self.note("energy charged below the least of a stop", km, missing, "kWh", SHORTFALL_KWH)
         dwell, grid = state[CLOCK] - begin[CLOCK], state[GRID] - begin[GRID]
         self.note("dwell beyond the longest allowed", km, dwell - stop.max_dwell_h, "h", EXCESS_H)
         self.check_full(km, self.instance.energy_max_kwh)

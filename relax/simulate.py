@@ -14,7 +14,7 @@ from math import inf
 import numpy as np
 
 from relax.commands import check_controls
-from relax.instance import LEAST_ROOM_KW, Instance, Stop
+from relax.instance import LEAST_ROOM_KW, MIN_CHARGE_KWH, Instance, Stop
 from relax.plan import Controls, StopControls, StopTrajectory, Trajectory
 from relax.step import Car, StepResult, charge, drive_rows, drive_step
 
@@ -215,6 +215,7 @@ class Simulation:
             stop.arrive_min_kwh - first,
             stop.leave_min_kwh - last + stop.detour_out_kwh,
             last - self.instance.energy_max_kwh,
+            MIN_CHARGE_KWH - wanted.energy_kwh,
         )
         walk.excess_kw = max(walk.excess_kw, excess)
         walk.excess_h = max(walk.excess_h, dwell - stop.max_dwell_h)

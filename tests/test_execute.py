@@ -26,6 +26,7 @@ from relax import (
     replay,
     simulate,
 )
+from relax.instance import MIN_CHARGE_KWH
 from relax.refinement import is_feasible
 from relax.replay import Violation
 from relax.starts import even_start
@@ -58,6 +59,7 @@ def assert_holds(trip: Trip, instance: Instance, done: Execution) -> None:
         assert ran.arrive_energy_kwh >= stop.arrive_min_kwh - ENERGY
         assert ran.depart_energy_kwh - stop.detour_out_kwh >= stop.leave_min_kwh - ENERGY
         assert ran.depart_energy_kwh <= instance.energy_max_kwh + ENERGY
+        assert ran.depart_energy_kwh - ran.arrive_energy_kwh >= MIN_CHARGE_KWH - ENERGY
         assert ran.depart_energy_kwh == pytest.approx(target, abs=1e-6)
         assert ran.dwell_h <= stop.max_dwell_h + 2e-4
         power = ran.grid_kwh / ran.dwell_h
@@ -124,6 +126,19 @@ def test_energy_charged_in_vain_is_given_back() -> None:
     assert done.replay is not None
     spare = done.replay.final_energy_kwh - instance.end_energy_min_kwh
     assert -ENERGY <= spare <= 1e-4
+
+
+def test_a_stop_that_nobody_needs_charges_the_least() -> None:
+    """Energy to spare at the end is given back, but no stop ends below its least charge."""
+    trip = small_trip(start_soc=0.9, end_soc_min=0.1)
+    instance, _, done = run(trip, (0, 1))
+    assert done.reason == ""
+    assert done.replay is not None
+    assert done.replay.final_energy_kwh > instance.end_energy_min_kwh + 1.0
+    assert_holds(trip, instance, done)
+    for ran in done.replay.stops:
+        charged = ran.depart_energy_kwh - ran.arrive_energy_kwh
+        assert charged == pytest.approx(MIN_CHARGE_KWH, abs=2e-5)
 
 
 def test_a_temperature_missed_by_a_hair_is_repaired() -> None:

@@ -325,6 +325,11 @@ def test_every_limit_is_checked_and_named() -> None:
     (got,) = replay(PAPER, full, plan.controls, over).violations
     assert got.rule == "energy above the largest allowed"
     assert (got.position_km, got.amount) == (100.0, pytest.approx(0.5, abs=1e-6))
+    most = instance.energy_max_kwh
+    rich = replay(PAPER, instance, plan.controls, (most, most)).stops[1].arrive_energy_kwh
+    found = replay(PAPER, instance, plan.controls, (most, rich + 0.03)).violations
+    (least,) = (v for v in found if v.rule == "energy charged below the least of a stop")
+    assert (least.position_km, least.amount) == (300.0, pytest.approx(0.07, abs=1e-6))
     coldest = float(driven.temperature_c.min())
     got = again(temperature_min_c=coldest + 0.3)["battery temperature below its limit"]
     assert got.amount == pytest.approx(0.3, abs=1e-6)

@@ -10,6 +10,7 @@ from test_simulate import toy_trip
 from trips import small_trip
 
 from relax import Table2, idle_controls, make_instance, simulate
+from relax.instance import MIN_CHARGE_KWH
 
 
 def test_violations_are_stated_with_their_amounts() -> None:
@@ -33,6 +34,13 @@ def test_violations_are_stated_with_their_amounts() -> None:
     arrive = float(s.stops[0].energy_kwh[0])
     assert s.violation[0] == pytest.approx(arrive + 80.0 - over.energy_max_kwh, abs=1e-9)
     assert s.violation[3] == pytest.approx(80.0 / 49.5 - 1.5, abs=1e-9)
+
+    enough = toy_trip(start_soc=0.9)
+    assert simulate(make_instance(enough, ()), idle_controls(over, ())).violation[0] == 0.0
+    barely = make_instance(enough, (1,))
+    for charged in (0.03, MIN_CHARGE_KWH):
+        b = simulate(barely, idle_controls(barely, (charged,)))
+        assert b.violation[0] == pytest.approx(MIN_CHARGE_KWH - charged, abs=1e-12)
 
 
 def test_a_battery_that_takes_no_charge_is_a_violation_not_an_error() -> None:
