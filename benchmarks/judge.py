@@ -16,9 +16,9 @@ from relax.errors import EvrelaxError
 from relax.execute import execute
 from relax.instance import Instance, make_instance
 from relax.plan import Controls, Trajectory
-from relax.refinement import Refined, is_feasible
+from relax.refinement import Refined
 from relax.replay import replay
-from relax.simulate import simulate
+from relax.simulate import is_feasible, simulate
 from relax.trip import Trip
 
 __all__ = ["Verdict", "judge"]

@@ -16,9 +16,9 @@ from relax.bound import RelaxedSubset, relax_subset
 from relax.execute import Execution, execute
 from relax.instance import Drive, Instance, make_instance
 from relax.plan import Controls
-from relax.refinement import Refined, best_of, is_feasible, refine
+from relax.refinement import Refined, best_of, refine
 from relax.relaxed_point import RelaxedPoint
-from relax.simulate import simulate
+from relax.simulate import is_feasible, simulate
 from relax.starts import best_start, split_starts
 from relax.tighten import prove
 from relax.trip import Grid, Trip

@@ -15,9 +15,9 @@ from relax.driven import Replay
 from relax.errors import DomainError
 from relax.instance import MIN_CHARGE_KWH, Instance
 from relax.plan import Controls, Trajectory
-from relax.refinement import Refined, RefineSettings, is_feasible, refine
+from relax.refinement import Refined, RefineSettings, refine
 from relax.replay import RULE_STOP_TIME, replay
-from relax.simulate import simulate
+from relax.simulate import is_feasible, simulate
 
 if TYPE_CHECKING:
     from relax.trip import Trip

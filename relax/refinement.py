@@ -19,7 +19,7 @@ from relax.expansion import expand_cells, expand_drive
 from relax.instance import MIN_CHARGE_KWH, Instance
 from relax.plan import Controls, StopControls, Trajectory
 from relax.quadratic import QuadraticStep, StepProgram, TrustRegion
-from relax.simulate import Simulation
+from relax.simulate import FEASIBLE, Simulation, is_feasible
 from relax.solve import QpSolution, SolveStatus, solve_qp
 from relax.step_layout import Watch
 
@@ -59,8 +59,6 @@ USABLE = (SolveStatus.SOLVED, SolveStatus.INACCURATE)
 """Solver results a step may be taken from: it is judged by simulation anyway."""
 MAX_PASSES = 6
 """Bound on the simulations that meet the energy limits; each gains a factor of about 50."""
-FEASIBLE = 2e-5
-"""Violation that counts as none [kWh, K, kW, h]."""
 
 
 @dataclass(frozen=True)
@@ -112,11 +110,6 @@ class Refined:
     feasible: bool
     programs: int
     solve_s: float
-
-
-def is_feasible(trajectory: Trajectory) -> bool:
-    """Return whether no limit is violated by more than rounding."""
-    return float(trajectory.violation.max()) <= FEASIBLE
 
 
 def penalty_prices(instance: Instance) -> Array:

@@ -18,7 +18,24 @@ from relax.instance import LEAST_ROOM_KW, MIN_CHARGE_KWH, Instance, Stop
 from relax.plan import Controls, StopControls, StopTrajectory, Trajectory
 from relax.step import Car, StepResult, charge, drive_rows, drive_step
 
-__all__ = ["Simulation", "Thermostat", "idle_controls", "simulate", "stop_cost"]
+__all__ = [
+    "FEASIBLE",
+    "Simulation",
+    "Thermostat",
+    "idle_controls",
+    "is_feasible",
+    "simulate",
+    "stop_cost",
+]
+
+
+FEASIBLE = 2e-5
+"""Violation that counts as none [kWh, K, kW, h]."""
+
+
+def is_feasible(trajectory: Trajectory) -> bool:
+    """Return whether no limit is violated by more than rounding."""
+    return float(trajectory.violation.max()) <= FEASIBLE
 
 
 def stop_cost(stop: Stop, dwell_h: float, grid_kwh: float) -> float:

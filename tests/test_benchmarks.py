@@ -28,7 +28,7 @@ from benchmarks.verdicts import latest
 from benchmarks.worker import Worker, WorkerError
 from enumerate import plan
 from relax import idle_controls, make_instance
-from relax.refinement import is_feasible
+from relax.simulate import is_feasible
 
 # ------------------------------------------------------------------------------- cases and code
 

@@ -27,8 +27,8 @@ from relax import (
     simulate,
 )
 from relax.instance import MIN_CHARGE_KWH
-from relax.refinement import is_feasible
 from relax.replay import Violation
+from relax.simulate import is_feasible
 from relax.starts import even_start
 
 ENERGY = 2e-5

@@ -22,7 +22,7 @@ from relax import load_trip, make_instance, simulate
 from relax.instance import Instance
 from relax.maps import Table1
 from relax.plan import Controls, Trajectory
-from relax.refinement import is_feasible
+from relax.simulate import is_feasible
 from relax.trip import Grid, Trip
 
 SMALL = Grid(20.0, 4)

@@ -23,15 +23,8 @@ from relax import (
     simulate,
 )
 from relax.instance import MIN_CHARGE_KWH
-from relax.refinement import (
-    FEASIBLE,
-    SAME_PLACE,
-    complete,
-    is_feasible,
-    merit,
-    penalty_prices,
-)
-from relax.simulate import Simulation
+from relax.refinement import SAME_PLACE, complete, merit, penalty_prices
+from relax.simulate import FEASIBLE, Simulation, is_feasible
 from relax.starts import even_start, split_starts, warmer_start
 
 Array = npt.NDArray[np.float64]

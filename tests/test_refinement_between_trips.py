@@ -10,7 +10,7 @@ from refined import paper
 from trips import small_trip
 
 from relax import Grid, Trip, load_trip, make_instance, refine
-from relax.refinement import FEASIBLE
+from relax.simulate import FEASIBLE
 from relax.starts import even_start
 
 

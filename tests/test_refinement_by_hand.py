@@ -14,7 +14,7 @@ from test_simulate import toy_trip
 
 from relax import Instance, RefineSettings, Trajectory, Trip, make_instance, refine
 from relax.instance import MIN_CHARGE_KWH
-from relax.refinement import FEASIBLE
+from relax.simulate import FEASIBLE
 from relax.starts import even_start
 
 

@@ -17,8 +17,8 @@ from enumerate.tasks import Node, Setting, refine_node, refine_splits, refine_th
 from relax import idle_controls, load_trip, make_instance, refine, simulate
 from relax.bound import relax_subset
 from relax.instance import make_drive
-from relax.refinement import Refined, RefineSettings, _descend, best_of, is_feasible
-from relax.simulate import Simulation
+from relax.refinement import Refined, RefineSettings, _descend, best_of
+from relax.simulate import Simulation, is_feasible
 from relax.starts import best_start, even_start, further_starts, thinned_starts, warmer_start
 
 FOUND = {

@@ -27,9 +27,10 @@ from relax import (
 )
 from relax.bound import relax_subset
 from relax.reach import make_box, propagate
-from relax.refinement import FEASIBLE, Refined
+from relax.refinement import Refined
 from relax.relaxation import build_relaxation
 from relax.relaxed_point import lift
+from relax.simulate import FEASIBLE
 from relax.solve import SolveSettings, solve_cone
 from relax.spec import make_spec
 from relax.starts import best_start, even_start

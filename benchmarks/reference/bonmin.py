@@ -24,7 +24,7 @@ from benchmarks.reference.quiet import quiet
 from benchmarks.reference.starts import make_start, single_start
 from relax.instance import Drive, Instance, make_drive, make_instance
 from relax.plan import Controls
-from relax.refinement import FEASIBLE, is_feasible
+from relax.simulate import FEASIBLE, is_feasible
 from relax.trip import Trip
 
 __all__ = ["BonminResult", "BonminSettings", "bonmin_best"]

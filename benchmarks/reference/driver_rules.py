@@ -18,8 +18,8 @@ from relax.errors import DomainError
 from relax.execute import execute
 from relax.instance import MIN_CHARGE_KWH, Instance, make_drive, make_instance
 from relax.plan import Controls, StopControls, Trajectory
-from relax.refinement import FEASIBLE, Refined, complete, is_feasible
-from relax.simulate import Simulation, Thermostat, idle_controls
+from relax.refinement import Refined, complete
+from relax.simulate import FEASIBLE, Simulation, Thermostat, idle_controls, is_feasible
 from relax.trip import Trip
 
 if TYPE_CHECKING:

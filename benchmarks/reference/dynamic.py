@@ -19,8 +19,8 @@ from benchmarks.reference.dynamic_value import compute_tables
 from relax.execute import execute
 from relax.instance import make_instance
 from relax.plan import Controls, Trajectory
-from relax.refinement import Refined, complete, is_feasible
-from relax.simulate import Simulation
+from relax.refinement import Refined, complete
+from relax.simulate import Simulation, is_feasible
 from relax.trip import Trip
 
 __all__ = ["COARSE", "FINE", "MEDIUM", "Dynamic", "Resolution", "dynamic_best", "grid_error"]

@@ -22,7 +22,8 @@ from benchmarks.reference.stages import Stages
 from benchmarks.reference.starts import Start, make_start
 from relax.instance import Instance
 from relax.plan import Controls, Trajectory
-from relax.refinement import FEASIBLE, NEARLY_FEASIBLE, is_feasible
+from relax.refinement import NEARLY_FEASIBLE
+from relax.simulate import FEASIBLE, is_feasible
 
 __all__ = [
     "CAREFUL",

@@ -15,8 +15,7 @@ import numpy.typing as npt
 
 from relax.instance import MIN_CHARGE_KWH, Instance
 from relax.plan import Controls, Trajectory
-from relax.refinement import is_feasible
-from relax.simulate import simulate
+from relax.simulate import is_feasible, simulate
 
 __all__ = ["polish", "release"]
 

@@ -20,8 +20,7 @@ from benchmarks.reference.scip_model import ScipModel, make_scip_model
 from benchmarks.reference.scip_point import point_of, read_controls, used_stops
 from relax.instance import make_drive, make_instance
 from relax.plan import Controls, Trajectory
-from relax.refinement import is_feasible
-from relax.simulate import simulate
+from relax.simulate import is_feasible, simulate
 from relax.trip import Trip
 
 __all__ = ["SETTINGS", "ScipResult", "WarmStart", "scip_solve"]
