@@ -27,7 +27,7 @@ from enumerate.table import counted, number, paragraph, percent
 from relax.errors import InputError
 from relax.instance import Instance, make_drive, make_instance
 from relax.replay import replay
-from relax.simulate import simulate
+from relax.simulate import FEASIBLE, simulate
 from relax.trip import Trip
 
 __all__ = ["Audit", "audit", "audit_evidence"]
@@ -67,6 +67,10 @@ class Audit:
         Time taken [s].
     stage_steps : int
         Steps over stages done again.
+    status : str
+        What the file says is known, with the gap asked for.
+    grid : str
+        The grid that all bounds are of.
 
     Examples
     --------
@@ -86,6 +90,8 @@ class Audit:
     lower_bound: float
     seconds: float
     stage_steps: int = 0
+    status: str = ""
+    grid: str = ""
 
     @property
     def holds(self) -> bool:
@@ -105,6 +111,7 @@ class Audit:
         stages = f"{counted(self.stage_steps, 'step')} over stages, " if self.stage_steps else ""
         lines = [
             paragraph("audit", f"{self.trip}: {verdict}."),
+            paragraph("status", f"{self.status}."),
             paragraph(
                 "checked",
                 f"{counted(self.subsets, 'choice')} of stops in {counted(self.rows, 'row')}, "
@@ -117,6 +124,7 @@ class Audit:
             text = f"{number(self.lower_bound, 4)} {self.currency}, proved of every plan"
         else:
             text = "there is no plan: proved of every choice of stops"
+        text += f", on the file's grid of {self.grid}"
         lines.append(paragraph("bound", text + "."))
         if self.cost < inf:
             text = f"{number(self.cost, 4)} {self.currency}, driven again and within every limit"
@@ -208,12 +216,18 @@ def audit_evidence(
     failures += accounted
     found = _bounds(evidence, proofs, stages, failures)
     bound = stages.bound if accounted else min(found, default=-inf)
+    own = _own_bound(evidence, found)
     cost = inf
     if evidence.driven is not None:
         try:
             cost = _driven(evidence, evidence.driven, trip, make, failures)
         except (ArithmeticError, ValueError, AssertionError) as error:
             failures.append(f"plan: it cannot be driven: {error}")
+    if exceeds(own, evidence.transcribed):
+        failures.append(
+            f"plan: it costs {evidence.transcribed!r} on the grid, but no plan with its stops "
+            f"costs less than {own!r}"
+        )
     _sums(evidence, bound, cost, failures)
     return Audit(
         trip=trip.name,
@@ -227,7 +241,16 @@ def audit_evidence(
         lower_bound=bound,
         seconds=time.perf_counter() - begin,
         stage_steps=stages.steps,
+        status=evidence.status[:20]
+        + (f"; optimal is a gap of at most {percent(_asked(evidence), 2)} %" if cost < inf else ""),
+        grid=f"{counted(drive.n_steps, 'driving step')}, "
+        f"{counted(evidence.grid.cells, 'cell')} per stop",
     )
+
+
+def _asked(evidence: Evidence) -> float:
+    """Return the gap at which a plan counts as optimal."""
+    return DEFAULT_GAP if evidence.asked_gap is None else evidence.asked_gap
 
 
 def _accounted(evidence: Evidence) -> list[str]:
@@ -260,8 +283,7 @@ def _bounds(
     What stages bound holds for every plan, and so for every row.
     """
     out = []
-    asked = DEFAULT_GAP if evidence.asked_gap is None else evidence.asked_gap
-    limit = closing_cost(evidence.cost, asked, evidence.transcribed)
+    limit = closing_cost(evidence.cost, _asked(evidence), evidence.transcribed)
     for row in evidence.rows:
         fixed, most = len(row.subset), len(row.subset) + len(row.undecided)
         count = (row.count or (fixed, most)) if row.undecided else (fixed, fixed)
@@ -284,6 +306,16 @@ def _bounds(
     return out
 
 
+def _own_bound(evidence: Evidence, found: list[float]) -> float:
+    """Return what is proved of plans with the driven one's stops."""
+    if evidence.driven is None:
+        return -inf
+    stops = evidence.driven.stops
+    return max(
+        (b for row, b in zip(evidence.rows, found, strict=True) if row.holds(stops)), default=-inf
+    )
+
+
 def _driven(
     evidence: Evidence,
     plan: DrivenPlan,
@@ -304,9 +336,14 @@ def _driven(
         return inf
     with np.errstate(over="raise", invalid="raise", divide="raise"):
         driven = replay(trip, instance, plan.controls, plan.targets_kwh)
-        transcribed = simulate(instance, plan.controls).cost
-    if not _same(transcribed, evidence.transcribed):
-        failures.append(f"plan: it costs {transcribed!r} on the grid, not {evidence.transcribed!r}")
+        on_grid = simulate(instance, plan.controls)
+    if not _same(on_grid.cost, evidence.transcribed):
+        failures.append(
+            f"plan: it costs {on_grid.cost!r} on the grid, not {evidence.transcribed!r}"
+        )
+    most = float(on_grid.violation.max())
+    if not most <= FEASIBLE + COST_TOLERANCE:
+        failures.append(f"plan: on the grid it breaks a limit by {most:g}")
     failures += [f"plan: {violation}" for violation in driven.violations]
     return float(driven.cost) if driven.feasible else inf
 
@@ -348,7 +385,7 @@ def _sums(evidence: Evidence, bound: float, cost: float, failures: list[str]) ->
     gap = relative_gap(cost, bound)
     if not (gap == evidence.gap or gap <= evidence.gap + COST_TOLERANCE):
         failures.append(f"gap: {evidence.gap!r} is claimed, {gap!r} is proved")
-    asked = DEFAULT_GAP if evidence.asked_gap is None else evidence.asked_gap
+    asked = _asked(evidence)
     if evidence.status == "optimal" and not is_proved(
         cost, evidence.transcribed, bound, asked + COST_TOLERANCE
     ):
@@ -358,5 +395,9 @@ def _sums(evidence: Evidence, bound: float, cost: float, failures: list[str]) ->
         )
     if evidence.status == "infeasible" and bound < inf:
         failures.append("status: infeasible is claimed, not proved")
-    if evidence.status not in ("optimal", "feasible", "infeasible", "unknown"):
-        failures.append(f"status: {evidence.status[:20]!r} is none")
+    known = ("optimal", "feasible") if evidence.driven is not None else ("infeasible", "unknown")
+    if evidence.status not in known:
+        whether = "without a plan" if evidence.driven is None else "with a plan"
+        failures.append(f"status: {evidence.status[:20]!r} is none {whether}")
+    if evidence.driven is None and evidence.transcribed < inf:
+        failures.append("plan: it has a cost on the grid, but there is none")

@@ -345,7 +345,10 @@ def _evidence(header: dict[str, Any], duals: Array, table: Array, controls: Arra
         node, used = _node(item, duals, used)
         nodes.append(node)
     stages = _stages(header["stages"], table, duals[used:])
-    stops, asked = header["stops"], header["asked_gap"]
+    stops = header["stops"]
+    asked = None if header["asked_gap"] is None else _number(header["asked_gap"])
+    if asked is not None and not 0.0 < asked < 1.0:
+        raise ValueError("the gap asked for is not above 0 and below 1")
     return Evidence(
         trip=_text(header["trip"]),
         fingerprint=_text(header["fingerprint"]),
@@ -356,7 +359,7 @@ def _evidence(header: dict[str, Any], duals: Array, table: Array, controls: Arra
         lower_bound=_number(header["lower_bound"]),
         gap=_number(header["gap"]),
         transcribed=_number(header["transcribed"]),
-        asked_gap=None if asked is None else _number(asked),
+        asked_gap=asked,
         rows=tuple(_row(item) for item in header["rows"]),
         nodes=tuple(nodes),
         driven=None if stops is None else _driven(_whole_tuple(stops), grid.cells, controls),

@@ -77,14 +77,16 @@ def is_proved(cost: float, transcribed: float, lower_bound: float, gap: float) -
 def closing_cost(cost: float, gap: float, transcribed: float = inf) -> float:
     """Return the cost from which on a bound closes a subset: cost less the relative gap.
 
-    Bounds are of the transcription. Where its cost is so far below the driven one that
-    no bound can come within the gap, half the gap to the transcribed cost has to do:
-    a finer grid would help, more proof would not.
+    Nothing closes without a plan. Bounds are of the transcription. Where its cost is so far
+    below the driven one that no bound can come within the gap, half the gap to the transcribed
+    cost has to do: a finer grid would help, more proof would not.
 
     Examples
     --------
     >>> closing_cost(200.0, 0.01), closing_cost(200.0, 0.01, transcribed=190.0)
     (198.0, 189.05)
     """
+    if cost == inf:
+        return inf
     reachable = transcribed - 0.5 * gap * max(abs(transcribed), 1.0) if transcribed < inf else inf
     return min(cost - gap * max(abs(cost), 1.0), reachable)

@@ -6,6 +6,7 @@ Damage to the proofs themselves: test_audit_damage.py; nodes made by hand: test_
 from __future__ import annotations
 
 import dataclasses
+import sys
 from math import inf
 from pathlib import Path
 from typing import Any
@@ -20,7 +21,16 @@ from enumerate.audit import audit_evidence
 from enumerate.evidence import Evidence
 from enumerate.evidence_file import load_proofs, save_evidence
 from enumerate.ledger import Outcome
-from relax import InputError, load_trip
+from enumerate.table import counted
+from relax import (
+    Controls,
+    InputError,
+    Instance,
+    Trajectory,
+    load_trip,
+    make_instance,
+    simulate,
+)
 
 TRIP = SIX
 
@@ -56,6 +66,9 @@ def test_what_the_search_proves_is_confirmed(file: Path, result: Result) -> None
     kinds = {n.how.kind for n in result.proofs if n.how is not None}
     assert kinds >= {"count", "use"}, "the trip must show families being cut"
     text = str(found)
+    assert "status  optimal; " in text
+    steps = counted(make_instance(TRIP, ()).drive.n_steps, "driving step")
+    assert f"grid of {steps}, {TRIP.grid.cells} cells per stop." in " ".join(text.split())
     assert "every claim holds" in text and max(len(line) for line in text.split("\n")) <= 100
 
 
@@ -189,6 +202,7 @@ def test_the_plan_is_driven_again(two: Evidence) -> None:
         (told(slower), "cost: "),
         (told(cold), "cooling_kw outside"),
         (told(still), "does not charge"),
+        (told(dataclasses.replace(stop, energy_kwh=0.2)), "on the grid it breaks a limit"),
         (dataclasses.replace(driven, targets_kwh=less), "energy below the least"),
         (dataclasses.replace(driven, targets_kwh=tuple(inf for _ in less)), "does not charge"),
         (dataclasses.replace(driven, stops=(7, *driven.stops[1:])), "does not have"),
@@ -196,6 +210,41 @@ def test_the_plan_is_driven_again(two: Evidence) -> None:
     ):
         holds, text = check(dataclasses.replace(two, driven=changed))
         assert not holds and named in text, (named, text)
+
+
+@pytest.mark.parametrize("status", ["optimal", "feasible", "infeasible", "unknown", "best"])
+def test_a_status_needs_a_plan_or_none(two: Evidence, status: str) -> None:
+    nothing = {"driven": None, "cost": inf, "transcribed": inf, "gap": inf}
+    rows = tuple(
+        r if r.outcome is Outcome.INFEASIBLE else dataclasses.replace(r, outcome=Outcome.UNPROVED)
+        for r in two.rows
+    )
+    for changes, names in (({}, ("optimal", "feasible")), (nothing, ("unknown",))):
+        claimed = dataclasses.replace(two, rows=rows, status=status, **changes)
+        assert check(claimed)[0] == (status in names)
+    closed = tuple(
+        dataclasses.replace(r, outcome=Outcome.BOUNDED) if r.outcome is Outcome.UNPROVED else r
+        for r in rows
+    )
+    without = dataclasses.replace(two, status="unknown", **nothing)
+    holds, text = check(dataclasses.replace(without, rows=closed))
+    assert not holds and "cannot be better, it says; that is not proved" in text
+    holds, text = check(dataclasses.replace(without, rows=rows, transcribed=0.0))
+    assert not holds and "it has a cost on the grid, but there is none" in text
+
+
+def test_a_plan_below_what_is_proved_of_its_stops_is_named(
+    two: Evidence, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It says that proof or model is wrong, so here the model is made to be."""
+
+    def cheaper(instance: Instance, controls: Controls) -> Trajectory:
+        found = simulate(instance, controls)
+        return dataclasses.replace(found, cost=0.9 * found.cost)
+
+    monkeypatch.setattr(sys.modules["enumerate.audit"], "simulate", cheaper)
+    found = audit_evidence(dataclasses.replace(two, transcribed=0.9 * two.transcribed), TWO)
+    assert any("but no plan with its stops costs less than" in text for text in found.failures)
 
 
 def test_a_file_of_another_trip_is_refused(file: Path) -> None:

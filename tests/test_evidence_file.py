@@ -209,6 +209,7 @@ def put(*keys: Any) -> Any:
         (put("version", 2), "version 2, not 3"),
         (put("grid", "cells", 10**9), "grid"),
         (put("grid", "step_km", 1e-9), "grid"),
+        *((put("asked_gap", gap), "gap asked for") for gap in ("inf", 1.0, 0.0, -0.5)),
         (put("cost", "nan"), "no number"),
         (put("cost", True), "no number"),
         (put("cost", None), "no number"),
