@@ -56,6 +56,8 @@ def add_stops(model: Model) -> None:
     corners = np.stack([temp.lo * y_lo, temp.lo * y_hi, temp.hi * y_lo, temp.hi * y_hi])
     occupied = np.array([s.occupancy_price_per_h > 0.0 for s in instance.stops], dtype=bool)
     longest = box.stay.hi
+    # crossed where a stop cannot be used: its rows say so, its variables keep a box
+    some = np.maximum(y_hi, 0.0)
     cools = box.stop_temperature.hi[:, 1:] >= vehicle.cooling_from_c - COOLING_SLACK_K
     cools &= vehicle.cooling_kw > 0.0
     maybe = box.optional[:, None]
@@ -63,12 +65,12 @@ def add_stops(model: Model) -> None:
         ("dwell", every, 0.03, box.dwell.lo, y_hi),
         ("cell_loss", every, 0.05, 0.0, np.maximum(loss_hi, 0.0) * (1.0 + 1e-9) + 1e-9),
         ("temp_dwell", every, 0.5, corners.min(axis=0) - 1e-9, corners.max(axis=0) + 1e-9),
-        ("cell_heater", every & (vehicle.heater_kw > 0.0), 0.1, 0.0, vehicle.heater_kw * y_hi),
-        ("cell_cooling", cools, 0.1, 0.0, vehicle.cooling_kw * y_hi),
-        ("cell_pump", pump.power > 0.0, 0.05, 0.0, pump.power * y_hi),
-        ("cell_pump_heat", pump.power > 0.0, 0.05, 0.0, (pump.heat + 1e-9) * y_hi),
+        ("cell_heater", every & (vehicle.heater_kw > 0.0), 0.1, 0.0, vehicle.heater_kw * some),
+        ("cell_cooling", cools, 0.1, 0.0, vehicle.cooling_kw * some),
+        ("cell_pump", pump.power > 0.0, 0.05, 0.0, pump.power * some),
+        ("cell_pump_heat", pump.power > 0.0, 0.05, 0.0, (pump.heat + 1e-9) * some),
         ("cell_limit", every, 50.0, 0.0, tables.power_range.hi.reshape(S, K) * (1.0 + 1e-9)),
-        ("occupied", occupied, 0.5, 0.0, longest),
+        ("occupied", occupied, 0.5, 0.0, np.maximum(longest, 0.0)),
     ):
         if name in ("dwell", "temp_dwell"):  # the others' lower ends are 0
             lo, hi = (

@@ -60,6 +60,8 @@ def _solve_implicit(
         ):
             return y0, slope if abs(slope) < 0.5 else 0.0
         x1 = x0 + (missed / (1.0 - slope) if slope < 0.9 else missed)
+        if x1 == x0:  # a rounding away, where numbers are large
+            break
         y1 = phi(x1)
         slope = (y1 - y0) / (x1 - x0)
         x0, y0 = x1, y1
@@ -159,7 +161,7 @@ def drive_step(
     faster than the battery allows or beyond its largest energy.
 
     Returns end temperature, power, loss, brake, heater, pump, pump heat, cabin heater,
-    cooling and the excess over the discharge limit.
+    cooling and the excess over the discharge limit, or over the largest load of the pack.
     """
     d, base, ripple, q_ed, ambient, conductance, demand = row
     half_d, scale = 0.5 * d, d / car.capacity
@@ -207,7 +209,8 @@ def drive_step(
         moved = abs(power - before)
         loss = r * (power * power + ripple)
         result = temp + scale * (flow + loss + heater_eff * heater)
-        out = (result, power, loss, brake, heater, pump, heat, cabin, cooling, 0.0)
+        beyond = total - 0.25 / r if root < 0.0 else 0.0  # what no power of the pack serves
+        out = (result, power, loss, brake, heater, pump, heat, cabin, cooling, beyond)
         return result
 
     end, slope = _solve_implicit(phi, temp + rise, slope)
@@ -216,7 +219,7 @@ def drive_step(
             break
         end, slope = _solve_implicit(phi, end, slope)
     over = out[1] - car.discharge_limit(energy - half_d * power, 0.5 * (temp + end))
-    return (*out[:9], over), slope
+    return (*out[:9], max(over, out[9])), slope
 
 
 def drive_rows(drive: Drive) -> list[tuple[float, ...]]:

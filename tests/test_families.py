@@ -122,6 +122,10 @@ def test_an_optional_stop_that_cannot_be_used_is_named() -> None:
         box = propagate(instance, box)
     assert not box.empty
     assert box.unusable.tolist() == [False, True]
+    assert box.dwell.hi[1].max() < 0.0, "what the other cells need is longer than the stay"
+    program = build_relaxation(instance, box)
+    assert np.all(program.l <= program.u)
+    assert isinstance(certify_lower_bound(program, solve_cone(program).z), LowerBound)
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -9,7 +9,7 @@ import pytest
 from test_simulate import toy_trip
 from trips import small_trip
 
-from relax import Table2, idle_controls, make_instance, simulate
+from relax import Table1, Table2, idle_controls, make_instance, simulate
 from relax.instance import MIN_CHARGE_KWH
 
 
@@ -62,3 +62,17 @@ def test_the_discharge_limit_is_watched() -> None:
     t = simulate(instance, idle_controls(instance, ()))
     assert t.violation[2] == pytest.approx(t.power_kw.max() - 12.0, abs=1e-9)
     assert t.violation[2] > 0.0
+
+
+def test_a_load_beyond_what_the_pack_can_deliver_is_a_violation() -> None:
+    """1/(4r) at most, whatever the table of discharge limits says."""
+    strong = Table2([0.0, 1.0], [-40.0, 60.0], np.full((2, 2), 1e4))
+    trip = toy_trip(
+        pack__resistance_ohm=Table1([-40.0, 60.0], [9.0, 9.0]), pack__discharge_limit_soc_kw=strong
+    )
+    instance = make_instance(trip, ())
+    t = simulate(instance, idle_controls(instance, ()))
+    r = t.loss_kw / (t.power_kw**2 + instance.drive.ripple_kw2)
+    beyond = instance.drive.base_kw + t.cabin_heater_kw + r * instance.drive.ripple_kw2 - 0.25 / r
+    assert beyond.max() > 1.0
+    assert t.violation[2] == pytest.approx(beyond.max(), rel=1e-9)
