@@ -178,7 +178,7 @@ class Box:
             out[name] = np.asarray(empty.any(axis=1) if empty.ndim == 2 else empty)
         return out
 
-    @property
+    @cached_property
     def unusable(self) -> npt.NDArray[np.bool_]:
         """Optional stops that no feasible plan uses, shape (S,): an interval of theirs is empty."""
         return np.asarray(np.any([self.optional & x for x in self._unusable.values()], axis=0))

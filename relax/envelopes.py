@@ -30,6 +30,7 @@ __all__ = [
     "envelope_pump_heat_under",
     "envelope_pump_power_under",
     "nodes",
+    "raised",
 ]
 
 Array = npt.NDArray[np.float64]
@@ -93,7 +94,8 @@ def _steepness(table: Table1, x: Array) -> Array:
     return np.asarray(table.slopes[i])
 
 
-def _raise(offset: Array, size: Array) -> Array:
+def raised(offset: Array, size: Array) -> Array:
+    """Return an offset with room for the rounding of terms of a size."""
     return offset + SAFETY * (1.0 + np.abs(size))
 
 
@@ -116,7 +118,7 @@ def affine_over(table: Table1, x: Interval) -> Array:
     slope = _ratio(_at(table, x.hi) - _at(table, x.lo), x.width)
     points = nodes(table, x, "concave")
     gap = (_at(table, points) - slope[:, None] * points).max(axis=1)
-    return np.stack([slope, _raise(gap, gap)])
+    return np.stack([slope, raised(gap, gap)])
 
 
 def envelope_conductance_over(
@@ -141,7 +143,7 @@ def envelope_conductance_over(
     s_t = _ratio(g_hi - g_lo, temp.width) * u.mean(axis=1)
     value = u[:, :, None] * g[:, None, :]
     gap = value - s_e[:, None, None] * e[:, :, None] - s_t[:, None, None] * t[:, None, :]
-    return np.stack([s_e, s_t, _raise(gap.max(axis=(1, 2)), value.max(axis=(1, 2)))])[None]
+    return np.stack([s_e, s_t, raised(gap.max(axis=(1, 2)), value.max(axis=(1, 2)))])[None]
 
 
 def envelope_loss_over(
@@ -190,7 +192,7 @@ def envelope_loss_over(
         - (s_t[..., None] * t)[..., None, None, :]
     )
     size = value.max(axis=(1, 2, 3))
-    return np.stack([s_p, s_e, s_t, _raise(gap.max(axis=(2, 3, 4)), size)], axis=1)
+    return np.stack([s_p, s_e, s_t, raised(gap.max(axis=(2, 3, 4)), size)], axis=1)
 
 
 def envelope_loss_under(
@@ -243,7 +245,7 @@ def envelope_loss_under(
         - s_t[..., None] * t
     )
     size = R.max(axis=1) / u * (np.maximum(power.lo**2, power.hi**2) + ripple)
-    return np.stack([s_p, s_e, s_t, -_raise(-low.min(axis=2), size)], axis=1)
+    return np.stack([s_p, s_e, s_t, -raised(-low.min(axis=2), size)], axis=1)
 
 
 def envelope_pump_heat_over(cop: Table1, droop: float, power: Interval, temp: Interval) -> Array:
@@ -278,7 +280,7 @@ def envelope_pump_heat_over(cop: Table1, droop: float, power: Interval, temp: In
         (c * x * (1.0 - droop * x) - s_h[..., None] * x - s_t[..., None] * t).max(axis=2)
         for x in most
     ]
-    return np.stack([s_h, s_t, _raise(np.max(gaps, axis=0), c_hi * top)], axis=1)
+    return np.stack([s_h, s_t, raised(np.max(gaps, axis=0), c_hi * top)], axis=1)
 
 
 def envelope_pump_heat_under(cop: Table1, droop: float, power: Interval, temp: Interval) -> Array:
@@ -297,11 +299,10 @@ def envelope_pump_heat_under(cop: Table1, droop: float, power: Interval, temp: I
         Box.
     """
     c = _at(cop, nodes(cop, temp, "convex"))
-    s_h = c.min(axis=1) * (1.0 - droop * (power.lo + power.hi))
-    ends = [
-        (c * (x * (1.0 - droop * x))[:, None]).min(axis=1) - s_h * x for x in (power.lo, power.hi)
-    ]
-    low = -_raise(-np.minimum(*ends), c.max(axis=1) * power.hi)
+    c_lo = c.min(axis=1)
+    s_h = c_lo * (1.0 - droop * (power.lo + power.hi))
+    ends = [c_lo * (x * (1.0 - droop * x)) - s_h * x for x in (power.lo, power.hi)]
+    low = -raised(-np.minimum(*ends), c.max(axis=1) * power.hi)
     return np.stack([s_h, np.zeros_like(s_h), low])[None]
 
 
@@ -338,7 +339,7 @@ def envelope_pump_power_under(
     full = most * (1.0 - droop * most)
 
     def inverse(x: Array) -> Array:
-        return heat_pump_power(np.minimum(x, full), np.ones_like(x), droop)
+        return heat_pump_power(np.minimum(x, full), np.ones(()), droop)
 
     t0 = temp.lo[:, None] + np.array(at) * temp.width[:, None]
     c0 = _at(cop, t0)
@@ -369,7 +370,7 @@ def envelope_pump_power_under(
         hp_end = hp_m + (x_end - x_m) / (1.0 - 2.0 * droop * hp_m)
         curve = hp_end - s_h[..., None] * q - s_t[..., None] * t_end
         low = np.minimum(low, curve.min(axis=2))
-    return np.stack([s_h, s_t, -_raise(-low, power.hi)], axis=1)
+    return np.stack([s_h, s_t, -raised(-low, power.hi)], axis=1)
 
 
 def envelope_product(x: Interval, y: Interval) -> tuple[Array, Array]:
@@ -389,8 +390,8 @@ def envelope_product(x: Interval, y: Interval) -> tuple[Array, Array]:
     """
     size = np.maximum(np.abs(x.lo), np.abs(x.hi)) * np.maximum(np.abs(y.lo), np.abs(y.hi))
     below = [
-        np.stack([y.lo, x.lo, -_raise(x.lo * y.lo, size)]),
-        np.stack([y.hi, x.hi, -_raise(x.hi * y.hi, size)]),
+        np.stack([y.lo, x.lo, -raised(x.lo * y.lo, size)]),
+        np.stack([y.hi, x.hi, -raised(x.hi * y.hi, size)]),
     ]
     above = [
         np.stack([y.lo, x.hi, -x.hi * y.lo + SAFETY * (1.0 + size)]),

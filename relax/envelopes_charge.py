@@ -10,11 +10,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
 
-from relax.envelopes import SAFETY, nodes
+from relax.envelopes import SAFETY, nodes, raised
 from relax.intervals import Interval, grid_values
 from relax.maps import Table1, Table2
 
@@ -66,7 +67,7 @@ class ChargeGrid:
     resistance: Array
     inverse_square: Array
 
-    @property
+    @cached_property
     def power_range(self) -> Interval:
         """Range of the charge limit on every box [kW]; exact."""
         return Interval(self.power.min(axis=(1, 2)), self.power.max(axis=(1, 2)))
@@ -141,10 +142,6 @@ def _chord(values: Array, x: Array) -> Array:
     return np.where(run > 1e-6, rise / np.where(run > 1e-6, run, 1.0), 0.0)
 
 
-def _pad(offset: Array, size: Array) -> Array:
-    return offset + SAFETY * (1.0 + np.abs(size))
-
-
 def envelope_limit_over(power: Array, energy: Array, temp: Array) -> Array:
     """Three planes in (E, T) above a bilinear power limit, shape (3, 3, c).
 
@@ -165,7 +162,7 @@ def envelope_limit_over(power: Array, energy: Array, temp: Array) -> Array:
     s_e = np.stack([_chord(p[:, :, l_ // 2], e), warm, cold])
     s_t = np.stack([steep, flat, steep])
     gap = np.stack([_above(p, e, t, *s).max(axis=(1, 2)) for s in zip(s_e, s_t, strict=True)])
-    return np.stack([s_e, s_t, _pad(gap, p.max(axis=(1, 2)))], axis=1)
+    return np.stack([s_e, s_t, raised(gap, p.max(axis=(1, 2)))], axis=1)
 
 
 def envelope_table_over(table: Table2, energy: Interval, temp: Interval) -> Array:
@@ -445,4 +442,4 @@ def envelope_grid_limit_over(grid: ChargeGrid, dwell: Interval) -> Array:
     ends = [
         (g * y[:, None] - s_e[..., None] * e).max(axis=2) - s_y * y for y in (dwell.lo, dwell.hi)
     ]
-    return np.stack([s_e, s_y, _pad(np.maximum(*ends), g_hi * dwell.hi)], axis=1)
+    return np.stack([s_e, s_y, raised(np.maximum(*ends), g_hi * dwell.hi)], axis=1)

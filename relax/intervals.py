@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from relax.maps import Table1, Table2
 
-__all__ = ["EMPTY_MARGIN", "Interval", "grid_values", "range1", "range2"]
+__all__ = ["EMPTY_MARGIN", "Interval", "grid_values", "pick", "range1", "range2"]
 
 Array = npt.NDArray[np.float64]
 
@@ -61,6 +61,11 @@ class Interval:
         if crossed.any():
             lo, hi = np.where(crossed, hi, lo), np.where(crossed, lo, hi)
         return Interval(lo - OUTWARD * (1.0 + np.abs(lo)), hi + OUTWARD * (1.0 + np.abs(hi)))
+
+
+def pick(x: Interval, on: npt.NDArray[np.bool_]) -> Interval:
+    """Return the entries of an interval that a mask selects."""
+    return Interval(x.lo[on], x.hi[on])
 
 
 def _points(grid: Array, values_monotone: bool, lo: Array, hi: Array) -> Array:

@@ -48,7 +48,7 @@ class _Entries:
     """Entries of one block of rows, collected in arrays that grow."""
 
     def __init__(self) -> None:
-        self.count, self.room = 0, 1024
+        self.count, self.room = 0, 1 << 14
         self.row, self.column = np.empty(self.room, np.int64), np.empty(self.room, np.int64)
         self.value = np.empty(self.room)
 

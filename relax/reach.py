@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from relax.box import Box, Cell
 from relax.instance import MIN_CHARGE_KWH, Instance
-from relax.intervals import EMPTY_MARGIN, Interval, range1, range2
+from relax.intervals import EMPTY_MARGIN, Interval, pick, range1, range2
 from relax.physics import battery_power
 from relax.reach_heat import COOLING_SLACK_K, pump_limits, temperatures
 
@@ -67,16 +67,19 @@ def _drive_flow(instance: Instance, box: Box) -> tuple[Interval, Interval]:
     cools = box.temperature.hi[1:] >= vehicle.cooling_from_c - COOLING_SLACK_K
     load_hi = drive.base_kw + vehicle.heater_kw + pump_hi + np.where(cools, vehicle.cooling_kw, 0.0)
     out_hi = range2(pack.discharge_limit_kw, energy, temp).hi
-    in_range = range2(pack.charge_limit_kw, energy, temp)
     lo = _power(load_lo, r.lo, ripple)
     hi = np.where(2.0 * r.hi * out_hi < 1.0, _power(load_hi, r.hi, ripple), out_hi)
     # when the charge limit refuses power, the brake takes it and P is minus the limit; a
     # battery that is full in the end takes what is left of it, at least 0
-    hi = np.where(lo < -in_range.lo, np.maximum(hi, -in_range.lo), hi)
+    on = lo < 0.0
+    if on.any():
+        taken = range2(pack.charge_limit_kw, pick(energy, on), pick(temp, on))
+        hi[on] = np.where(lo[on] < -taken.lo, np.maximum(hi[on], -taken.lo), hi[on])
+        lo[on] = np.maximum(lo[on], -taken.hi)
     hi = np.where(may_fill(instance, box), np.maximum(hi, 0.0), hi)
     start = box.start_energy
     power = (
-        box.power.meet(np.maximum(lo, -in_range.hi), np.minimum(hi, out_hi))
+        box.power.meet(lo, np.minimum(hi, out_hi))
         .meet(
             (start.lo - box.energy.hi[1:]) / drive.duration_h,
             (start.hi - box.energy.lo[1:]) / drive.duration_h,

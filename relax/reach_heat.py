@@ -53,12 +53,16 @@ def pump_limits(instance: Instance, demand: Array, cop: Interval) -> tuple[Array
     """
     vehicle = instance.vehicle
     droop, most = vehicle.heat_pump_droop_per_kw, vehicle.heat_pump_kw
-    heat = np.minimum(demand, np.maximum(cop.hi, 0.0) * _heat_per_cop(instance))
     power = np.full(demand.shape, most)
     if np.all(cop.lo > 0.0):  # h grows with hp: h <= q bounds hp
         power = np.minimum(power, heat_pump_power(demand, cop.lo, droop))
-    drawn = heat * np.maximum(0.0, 1.0 - 1.0 / np.maximum(cop.hi, 1.0))
-    return power, heat, drawn
+    return power, *_pump_heat(instance, demand, cop.hi)
+
+
+def _pump_heat(instance: Instance, demand: npt.ArrayLike, cop: Array) -> tuple[Array, Array]:
+    """Largest heat of the heat pump at a CoP, and the largest heat drawn from the pack [kW]."""
+    heat = np.minimum(demand, np.maximum(cop, 0.0) * _heat_per_cop(instance))
+    return heat, heat * np.maximum(0.0, 1.0 - 1.0 / np.maximum(cop, 1.0))
 
 
 def _heat_per_cop(instance: Instance) -> float:
@@ -294,7 +298,7 @@ def _fallen(instance: Instance, i: int, stay: float, low: float, top: float) -> 
     table = vehicle.heat_pump_cop
     # made never to fall, nowhere below the table: what is colder than ``low`` draws no more
     cop = np.interp(at, table.x, np.maximum.accumulate(table.f))
-    _, _, drawn = pump_limits(instance, np.full(at.shape, stop.cabin_heat_kw), Interval(cop, cop))
+    _, drawn = _pump_heat(instance, stop.cabin_heat_kw, cop)
     fall = np.maximum(drawn + stop.heat_loss_kw_per_k * (at - stop.ambient_c), 0.0)
     pace = max(stay, 0.0) / vehicle.pack.heat_capacity_kwh_per_k
     fall = _spent(fall, pace)

@@ -13,10 +13,10 @@ import numpy.typing as npt
 
 from relax.box import Box
 from relax.instance import Instance
-from relax.intervals import Interval
+from relax.intervals import Interval, pick
 from relax.program import Assembly, ConeProgram
 from relax.relaxation_drive import add_drive
-from relax.relaxation_model import Index, Model, make_pumps, pick, stack
+from relax.relaxation_model import Index, Model, make_pumps, stack
 from relax.relaxation_stops import add_stops
 
 __all__ = ["build_relaxation"]

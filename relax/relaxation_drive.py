@@ -15,11 +15,11 @@ from relax.envelopes import (
     envelope_loss_under,
 )
 from relax.envelopes_charge import envelope_table_over
-from relax.intervals import range1, range2
+from relax.intervals import pick, range1, range2
 from relax.program import Term
 from relax.reach import may_fill
 from relax.reach_heat import COOLING_SLACK_K
-from relax.relaxation_model import Array, Model, middle, pick
+from relax.relaxation_model import Array, Model, middle
 
 __all__ = ["FLOOR_WIDTH_K", "LEAST_RESISTANCE_OHM", "NEAR_KW", "add_drive"]
 
@@ -43,12 +43,11 @@ def add_drive(model: Model) -> None:
     energy, temp = box.middle_energy, box.middle_temperature
     every = np.ones(n, dtype=bool)
     pump = model.pumps[0]
-    loss_hi = (
-        range1(pack.resistance_ohm, temp).hi
-        / range1(pack.voltage_squared, energy).lo
-        * (np.maximum(box.power.lo**2, box.power.hi**2) + drive.ripple_kw2)
-    ) * (1.0 + 1e-9)
-    refused = range2(pack.charge_limit_kw, energy, temp).lo
+    resistance = range1(pack.resistance_ohm, temp)
+    r_hi = resistance.hi / range1(pack.voltage_squared, energy).lo
+    square_hi = np.maximum(box.power.lo**2, box.power.hi**2) + drive.ripple_kw2
+    refused, on = np.full(n, np.inf), (drive.base_kw < 0.0) | (box.power.lo < 0.0)
+    refused[on] = range2(pack.charge_limit_kw, pick(energy, on), pick(temp, on)).lo
     braking = (drive.base_kw < 0.0) & (box.power.lo <= 1e-6 - refused)
     braking |= may_fill(instance, box)
     cools = box.temperature.hi[1:] >= vehicle.cooling_from_c - COOLING_SLACK_K
@@ -56,7 +55,7 @@ def add_drive(model: Model) -> None:
     heater_hi = np.maximum(vehicle.heater_kw - (q - pump.heat) / eta_c, 0.0)
     for name, exists, scale, lo, hi in (
         ("power", every, 10.0, box.power.lo, box.power.hi),
-        ("loss", every, 1.0, 0.0, loss_hi),
+        ("loss", every, 1.0, 0.0, r_hi * square_hi * (1.0 + 1e-9)),
         ("heater", every & (vehicle.heater_kw > 0.0), 2.0, 0.0, heater_hi),
         ("cooling", cools, 2.0, 0.0, vehicle.cooling_kw),
         ("pump", pump.power > 0.0, 1.0, 0.0, pump.power),
@@ -91,7 +90,7 @@ def add_drive(model: Model) -> None:
     _add_cooling(model, ac, t1)
     rows.less("heater share", vehicle.heater_kw - q / eta_c, (hb, 1.0), (h, -1.0 / eta_c))
     _add_limits(model, refused)
-    _add_loss(model)
+    _add_loss(model, resistance.lo, r_hi)
     on = hp >= 0
     for name, planes, sign in pump.planes:
         slope_t = middle(t0[on], t1[on], -sign * planes[:, 1])
@@ -136,7 +135,7 @@ def _add_limits(model: Model, refused: Array) -> None:
         )  # fmt: skip
 
 
-def _add_loss(model: Model) -> None:
+def _add_loss(model: Model, resistance_lo: Array, r_hi: Array) -> None:
     """Joule loss of the driving steps from both sides (R6)."""
     rows, box, instance, v = model.rows, model.box, model.instance, model.v
     pack, ripple = instance.vehicle.pack, instance.drive.ripple_kw2
@@ -153,11 +152,10 @@ def _add_loss(model: Model) -> None:
             name, sign * planes[:, 3], (L, sign), (P, -sign * planes[:, 0]),
             *middle(e0, e1, -sign * planes[:, 1]), *middle(t0, t1, -sign * planes[:, 2]),
         )  # fmt: skip
-    coned = range1(R, temp).lo > LEAST_RESISTANCE_OHM
+    coned = resistance_lo > LEAST_RESISTANCE_OHM
     rows.less("loss at least", np.zeros(int((~coned).sum())), (L[~coned], -1.0))
     if model.lean:  # planes touch at the middle of the powers, at least
-        r = range1(R, temp).hi / range1(square, energy).lo
-        coned &= r * (0.5 * box.power.width) ** 2 > NEAR_KW
+        coned &= r_hi * (0.5 * box.power.width) ** 2 > NEAR_KW
     for name, on in (("loss cone", coned & (ripple == 0.0)), ("ripple cone", coned & (ripple > 0))):
         if not on.any():
             continue

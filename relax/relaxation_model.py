@@ -21,7 +21,7 @@ from relax.intervals import Interval, range1
 from relax.program import Assembly, Term
 from relax.reach_heat import pump_limits
 
-__all__ = ["Array", "Index", "Model", "Pump", "make_pumps", "middle", "pick", "stack"]
+__all__ = ["Array", "Index", "Model", "Pump", "make_pumps", "middle", "stack"]
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.int64]
@@ -49,11 +49,6 @@ def middle(start: Index, end: Index, coefficient: npt.ArrayLike) -> list[Term]:
     """Return the terms of coefficient * midpoint of two states."""
     half = 0.5 * np.asarray(coefficient, dtype=np.float64)
     return [(start, half), (end, half)]
-
-
-def pick(x: Interval, on: npt.NDArray[np.bool_]) -> Interval:
-    """Return the entries of an interval that a mask selects."""
-    return Interval(x.lo[on], x.hi[on])
 
 
 @dataclass(frozen=True)

@@ -90,16 +90,17 @@ def add_stops(model: Model) -> None:
         (y, -g * column["ambient_c"]), (hb, -vehicle.heater_battery_efficiency),
         (ac, vehicle.cooling_cop), (h, 1.0), (hp, -1.0),
     )  # (R7)  # fmt: skip
+    one = np.ones((S, 1))
     power: list[tuple[Index, Array]] = [
-        (loss, zero + 1.0), (y, zero + column["base_kw"] + q / eta_c), (hb, zero + 1.0),
-        (ac, zero + 1.0), (hp, zero + 1.0), (h, zero - 1.0 / eta_c),
+        (loss, one), (y, column["base_kw"] + column["cabin_heat_kw"] / eta_c), (hb, one), (ac, one),
+        (hp, one), (h, -one / eta_c),
     ]  # fmt: skip
     planes = envelope_grid_limit_over(tables, Interval(box.dwell.lo.ravel(), y_hi.ravel()))
+    c = (np.arange(K) + 0.5) / K
+    # planes in E only where the limit depends on it
+    varies = np.array([np.ptp(s.grid_limit_kw.f) > 0.0 for s in instance.stops], dtype=bool)
     for k, (s_e, s_y, s_0) in enumerate(planes.reshape(3, 3, S, K)):
-        on = np.ones(S, dtype=bool)
-        if k:  # planes in E only where the limit depends on it
-            on = np.array([np.ptp(s.grid_limit_kw.f) > 0.0 for s in instance.stops], dtype=bool)
-        c = (np.arange(K) + 0.5) / K
+        on = varies if k else np.ones(S, dtype=bool)
         terms: list[Term] = [(i[on], a[on]) for i, a in power]
         rows.less(
             f"grid limit {k}", (s_0 - s_e * into)[on], (W[on], (1.0 / K - s_e * c)[on]), *terms,
@@ -242,7 +243,8 @@ def _add_stop_loss(model: Model, tables: ChargeGrid, rho: Array, rho_range: Inte
     square_hi = 1.0 / tables.inverse_square.min(axis=1)
     temp = Interval(box.cell_temperature.lo.ravel(), box.cell_temperature.hi.ravel())
     cell = Interval(*(np.broadcast_to(w / K, shape).ravel() for w in (w_lo, w_hi)))
-    charge = np.minimum(tables.power, tables.grid_power[:, :, None])[:, tables.energy.shape[1] // 2]
+    m = tables.energy.shape[1] // 2
+    charge = np.minimum(tables.power[:, m], tables.grid_power[:, m, None])
     wanted = temp.lo + np.array(STOP_TEMPERATURES)[:, None] * temp.width
     nearest = np.abs(tables.temp[None] - wanted[..., None]).argmin(axis=2)
     speed = np.maximum(charge[np.arange(charge.shape[0]), nearest], 1.0)
@@ -253,8 +255,9 @@ def _add_stop_loss(model: Model, tables: ChargeGrid, rho: Array, rho_range: Inte
         "stop loss below", -planes[:, 3], (loss, -1.0), (W, planes[:, 0] / K), (y, planes[:, 1]),
         *middle(t0, t1, planes[:, 2]), unit=used,
     )  # fmt: skip
-    r_lo = tables.resistance.min(axis=1) / square_hi * (1.0 - 1e-9)
-    on = tables.resistance.min(axis=1) > LEAST_RESISTANCE_OHM
+    resistance_lo = tables.resistance.min(axis=1)
+    r_lo = resistance_lo / square_hi * (1.0 - 1e-9)
+    on = resistance_lo > LEAST_RESISTANCE_OHM
     rows.less("stop loss at least", np.zeros(int((~on).sum())), (loss.ravel()[~on], -1.0))
     e_0, p_0 = cell.mid, np.maximum(0.5 * tables.power_range.hi, 1.0)
     y_0 = e_0 / p_0
