@@ -215,7 +215,7 @@ def plan(
     stops the search and prints what is known by then, a second one ends at once.
     """
     with before_planning():
-        check_files({"--json": json_file, "--ledger": ledger_file})
+        check_files({"--json": json_file, "--ledger": ledger_file}, trip)
         check_folder("--plot", plot_folder)
         loaded = _load(trip, overrides, everything)
     try:

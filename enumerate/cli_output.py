@@ -31,14 +31,16 @@ REGULAR = {"--ledger", "--file"}
 # ---------------------------------------------------------------------------- places
 
 
-def check_files(files: Mapping[str, str | None]) -> None:
-    """Refuse files that cannot be written before anything is computed.
+def check_files(files: Mapping[str, str | None], trip: str) -> None:
+    """Refuse files that cannot be written, or would replace one another, before all else.
 
     Parameters
     ----------
     files : mapping of str to str or None
         Option and file. A symbolic link stands for what it names. ``-`` is no file for
         ``--json``.
+    trip : str
+        Shipped trip, or a file that no output may replace.
 
     Raises
     ------
@@ -47,16 +49,20 @@ def check_files(files: Mapping[str, str | None]) -> None:
 
     Examples
     --------
-    >>> check_files({"--ledger": "/"})
+    >>> check_files({"--ledger": "/"}, "paper-400km")
     Traceback (most recent call last):
         ...
     relax.errors.InputError: command line: --ledger: '/'; allowed: a regular file, or a free name
     """
+    taken = {Path(os.path.realpath(trip)): "the trip"} if os.path.isfile(trip) else {}
     for option, file in files.items():
         if file is None or (option == "--json" and file == STDOUT):
             continue
         path = Path(os.path.realpath(file))
         there = path.exists()
+        if path in taken and (path.is_file() or not there):
+            raise bad_option(option, file, f"another file than that of {taken[path]}")
+        taken[path] = option
         if option in REGULAR and there and not path.is_file():
             raise bad_option(option, file, "a regular file, or a free name")
         try:

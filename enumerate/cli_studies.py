@@ -114,7 +114,7 @@ def pareto(
     from enumerate.cli import _load
 
     with before_planning():
-        check_files({"--json": json_file})
+        check_files({"--json": json_file}, trip)
         loaded = _load(trip, overrides)
         from enumerate.pareto import MOST_CHARGERS
         from enumerate.pareto import pareto as find_front
@@ -216,7 +216,7 @@ def sweep(
     values = read_values(over)
     computed: list[SweepRow] = []
     with before_planning():
-        check_files({"--file": str(file)})
+        check_files({"--file": str(file)}, trip)
         from enumerate.sweep import sweep as run
 
         with _rows(quiet) as report:

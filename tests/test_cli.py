@@ -218,6 +218,20 @@ def test_outputs_are_checked_before_planning(
     assert blocker.read_text(encoding="utf-8") == "kept"
 
 
+def test_no_output_replaces_another_or_the_trip(tmp_path: Path) -> None:
+    trip, out = write_trip(tmp_path), tmp_path / "out"
+    before = trip.read_bytes()
+    for options, other in (
+        (["--json", str(out), "--ledger", str(out)], "--json"),
+        (["--json", str(trip)], "the trip"),
+        (["--ledger", str(tmp_path / "." / trip.name)], "the trip"),
+    ):
+        found = CliRunner().invoke(main, ["plan", str(trip), "-q", *options])
+        assert found.exit_code == 2
+        assert found.stderr.endswith(f"allowed: another file than that of {other}\n")
+    assert trip.read_bytes() == before and not out.exists()
+
+
 def test_a_refused_trip_leaves_no_json_file_and_keeps_an_old_one(tmp_path: Path) -> None:
     new, old = tmp_path / "new.json", tmp_path / "old.json"
     old.write_text("kept", encoding="utf-8")
