@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from relax.execute import Execution
 from relax.instance import Instance
+from relax.maps import Table2
 from relax.plan import StopTrajectory, Trajectory
 
 if TYPE_CHECKING:
@@ -295,6 +296,12 @@ def _stop_report(trip: Trip, ran: ReplayStop, arrive_h: float) -> StopReport:
     )
 
 
+def _limits(table: Table2, energy: Array, temperature: Array) -> Array:
+    """Return a limit along a plan, which may leave the table by what counts as no violation."""
+    inside = np.clip(energy, table.x[0], table.x[-1]), np.clip(temperature, table.y[0], table.y[-1])
+    return table(*inside)
+
+
 def _drive_trace(instance: Instance, plan: Trajectory, driven: Replay) -> DriveTrace:
     drive, pack = instance.drive, instance.vehicle.pack
     energy, temp = plan.energy_start_kwh, plan.temperature_start_c
@@ -306,8 +313,8 @@ def _drive_trace(instance: Instance, plan: Trajectory, driven: Replay) -> DriveT
         battery_kw=plan.power_kw,
         propulsion_kw=drive.propulsion_kw,
         loss_kw=plan.loss_kw,
-        charge_limit_kw=pack.charge_limit_kw(energy, temp),
-        discharge_limit_kw=pack.discharge_limit_kw(energy, temp),
+        charge_limit_kw=_limits(pack.charge_limit_kw, energy, temp),
+        discharge_limit_kw=_limits(pack.discharge_limit_kw, energy, temp),
         battery_heater_kw=plan.heater_kw,
         battery_cooling_kw=plan.cooling_kw,
         cabin_heater_kw=plan.cabin_heater_kw,

@@ -154,6 +154,18 @@ def test_the_trajectory_is_all_arrays_by_name() -> None:
     np.testing.assert_array_equal(got["km 300"]["grid_kw"], report.charge[1].grid_kw)
 
 
+def test_a_plan_may_leave_the_tables_by_rounding() -> None:
+    """A battery charged full lies a hair beyond the last energy of its limits."""
+    trip, instance, done, report = CASES["small"]
+    table = trip.vehicle.pack.charge_limit_kw
+    energy = done.trajectory.energy_start_kwh.copy()
+    energy[-1] = table.x[-1] + 1e-5
+    full = replace(done, trajectory=replace(done.trajectory, energy_start_kwh=energy))
+    limit = make_report(trip, instance, full).drive.charge_limit_kw
+    assert limit[-1] == table(table.x[-1], done.trajectory.temperature_start_c[-1])
+    assert np.array_equal(limit[:-1], report.drive.charge_limit_kw[:-1])
+
+
 def test_a_plan_never_driven_has_no_report() -> None:
     trip, instance, done, _ = CASES["paper"]
     with pytest.raises(ValueError, match="nothing to report"):
