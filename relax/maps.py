@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from relax.errors import DomainError
 
-__all__ = ["Table1", "Table2"]
+__all__ = ["DOMAIN_SLACK", "Table1", "Table2"]
 
 Array = npt.NDArray[np.float64]
 Cells = npt.NDArray[np.intp]
@@ -60,7 +60,7 @@ def _locate(grid: Array, x: Array, name: str) -> tuple[npt.NDArray[np.intp], Arr
         lo, hi = x.min(), x.max()
         if not (lo >= grid[0] - slack and hi <= grid[-1] + slack):  # also if one is no number
             raise DomainError(
-                f"{name}: {lo:g} .. {hi:g} is outside the table {grid[0]:g} .. {grid[-1]:g}"
+                f"{name} at {lo:g} .. {hi:g} is outside the table {grid[0]:g} .. {grid[-1]:g}"
             )
     index = np.searchsorted(grid[1:-1], x, side="right")
     left = grid[index]
@@ -183,7 +183,7 @@ class Table1:
         grid, values, slope, slack = self._lists
         if not grid[0] - slack <= x <= grid[-1] + slack:
             raise DomainError(
-                f"{self.name}: {x:g} is outside the table {grid[0]:g} .. {grid[-1]:g}"
+                f"{self.name} at {x:g} is outside the table {grid[0]:g} .. {grid[-1]:g}"
             )
         i = bisect_right(grid, x, 1, len(slope)) - 1
         return values[i] + slope[i] * (x - grid[i])
@@ -314,7 +314,7 @@ class Table2:
             xs[0] - slack_x <= x <= xs[-1] + slack_x and ys[0] - slack_y <= y <= ys[-1] + slack_y
         ):
             raise DomainError(
-                f"{self.name}: ({x:g}, {y:g}) is outside the table "
+                f"{self.name} at ({x:g}, {y:g}) is outside the table "
                 f"{xs[0]:g} .. {xs[-1]:g}, {ys[0]:g} .. {ys[-1]:g}"
             )
         i, j = bisect_right(xs, x, 1, len(xs) - 1) - 1, bisect_right(ys, y, 1, len(ys) - 1) - 1

@@ -30,6 +30,10 @@ LARGEST = 1e9
 Positive = Annotated[float, Field(gt=0, le=LARGEST, allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(ge=0, le=LARGEST, allow_inf_nan=False)]
 Finite = Annotated[float, Field(ge=-LARGEST, le=LARGEST, allow_inf_nan=False)]
+# with a range that no car or charger leaves, to catch other units: J/K, t, W, mAh
+HeatCapacity = Annotated[float, Field(gt=0, le=10, allow_inf_nan=False)]
+Mass = Annotated[float, Field(ge=100, le=100_000, allow_inf_nan=False)]
+Rating = Annotated[float, Field(gt=0, le=10_000, allow_inf_nan=False)]
 Share = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
 Efficiency = Annotated[float, Field(ge=0.01, le=1, allow_inf_nan=False)]
 Celsius = Annotated[float, Field(ge=-60, le=100, allow_inf_nan=False)]
@@ -70,7 +74,7 @@ class VehicleFile(Strict):
     name: Annotated[Name, _say("name for reports")]
     source: Annotated[str, _say("where the figures come from")]
     # pack
-    capacity_ah: Annotated[Positive, _say("charge between SoC 0 and 1, Ah")]
+    capacity_ah: Annotated[Rating, _say("charge between SoC 0 and 1, Ah")]
     ocv_v: Annotated[Curve, _say("open-circuit voltage: points [soc, V] or a number")]
     resistance_ohm: Annotated[Curve, _say("pack resistance: points [degrees C, ohm] or a number")]
     charge_limit: Annotated[
@@ -81,7 +85,7 @@ class VehicleFile(Strict):
         LimitTable | LimitProduct,
         _say("a table {soc, temperature_c, power_kw} or {curve_kw, temperature_factor}"),
     ]
-    heat_capacity_kwh_per_k: Annotated[Positive, _say("lumped heat capacity, kWh/K")]
+    heat_capacity_kwh_per_k: Annotated[HeatCapacity, _say("lumped heat capacity, kWh/K")]
     temperature_min_c: Annotated[Celsius, _say("least battery temperature, degrees C")]
     temperature_max_c: Annotated[Celsius, _say("largest battery temperature, degrees C")]
     heat_loss_kw_per_k: Annotated[
@@ -110,7 +114,7 @@ class VehicleFile(Strict):
     ]
     auxiliary_kw: Annotated[NonNegative, _say("constant consumers, kW")]
     # propulsion
-    mass_kg: Annotated[Positive, _say("test mass, kg")]
+    mass_kg: Annotated[Mass, _say("test mass, kg")]
     road_load_a_n: Annotated[NonNegative, _say("coast-down constant, N")]
     road_load_b_n_per_kmh: Annotated[Finite, _say("coast-down linear term, N/(km/h)")]
     road_load_c_n_per_kmh2: Annotated[NonNegative, _say("coast-down square term, N/(km/h)^2")]
@@ -145,7 +149,7 @@ class ChargerSection(Strict):
 
     name: Annotated[Name, _say("unique name")]
     position_km: Annotated[NonNegative, _say("km from the start of the trip")]
-    power_kw: Annotated[Positive, _say("rated grid power, kW")]
+    power_kw: Annotated[Rating, _say("rated grid power, kW")]
     price_per_kwh: Annotated[Finite, _say("currency per kWh from the grid")]
     detour_min: Annotated[
         NonNegative | tuple[NonNegative, NonNegative],
@@ -203,7 +207,7 @@ class LimitsSection(Strict):
 class GridSection(Strict):
     """How finely the trip is transcribed."""
 
-    step_km: Annotated[Positive, _say("longest driving step, km")] = 4.0
+    step_km: Annotated[float, _say("longest driving step, km", ge=0.05, allow_inf_nan=False)] = 4.0
     cells: Annotated[int, _say("charging cells per stop, 2 to 200", ge=2, le=200)] = 12
 
 

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from relax.document import Origin
 from relax.errors import InputError
-from relax.maps import Table1, Table2
+from relax.maps import DOMAIN_SLACK, Table1, Table2
 from relax.schema import LimitProduct, LimitTable, VehicleFile
 from relax.vehicle import Pack, RoadLoad, Vehicle
 
@@ -58,6 +58,9 @@ class Axis:
     hi: float
 
 
+LARGEST_OHM = 10.0
+"""Pack resistance that only milliohms exceed [ohm]."""
+
 SOC = Axis("SoC", "", 0.0, 1.0)
 PACK_C = Axis("battery temperature", "degrees C", -60.0, 100.0)
 AMBIENT_C = Axis("ambient temperature", "degrees C", -60.0, 100.0)
@@ -92,7 +95,7 @@ def make_points_table(
     Raises
     ------
     InputError
-        The axis does not increase or a value is too small.
+        The axis does not increase or leaves its range, or a value is too small.
 
     Examples
     --------
@@ -109,6 +112,9 @@ def make_points_table(
             allowed = f"{axis.name} more than in the point before, {before[0]:g}"
             raise origin.error(f"{name}.{k}", list(point), allowed)
     for k, point in enumerate(points, start=1):
+        if not axis.lo <= point[0] <= axis.hi:
+            allowed = f"{axis.name} from {axis.lo:g} to {axis.hi:g}"
+            raise origin.error(f"{name}.{k}", list(point), f"{allowed} {axis.unit}".rstrip())
         if point[1] < least or (positive and point[1] == least):
             raise origin.error(f"{name}.{k}", list(point), f"values {word} {least:g}")
     x, f = zip(*points, strict=True)
@@ -134,7 +140,8 @@ def check_covers(
     relax.errors.InputError: a.toml: curve: 'SoC 0.1 to 1'; allowed: a map that covers SoC 0.05 ...
     """
     grid = table.y if isinstance(table, Table2) and axis is not SOC else table.x
-    if grid[0] > lo or grid[-1] < hi:
+    slack = DOMAIN_SLACK * (grid[-1] - grid[0])  # a mean of equal values may miss them by rounding
+    if grid[0] - slack > lo or grid[-1] + slack < hi:
         unit = f" {axis.unit}" if axis.unit else ""
         shown = f"{axis.name} {grid[0]:g} to {grid[-1]:g}{unit}"
         allowed = f"a map that covers {axis.name} {lo:g} to {hi:g}{unit} ({why})"
@@ -184,8 +191,6 @@ def make_vehicle(
         allowed = f"more than temperature_min_c, {spec.temperature_min_c:g} degrees C"
         raise origin.error("temperature_max_c", spec.temperature_max_c, allowed)
     ocv = table("ocv_v", SOC, positive=True)
-    if ocv.lo < 0.0 or ocv.hi > 1.0:
-        raise origin.error("ocv_v", f"SoC {ocv.lo:g} to {ocv.hi:g}", "SoC from 0 to 1")
     pack = Pack(
         capacity_ah=spec.capacity_ah,
         ocv_v=ocv,
@@ -196,6 +201,8 @@ def make_vehicle(
         temperature_min_c=lo,
         temperature_max_c=hi,
     )
+    if (most := float(pack.resistance_ohm.f.max())) > LARGEST_OHM:
+        raise origin.error("resistance_ohm", most, f"values at most {LARGEST_OHM:g} ohm")
     cop = _heat_pump_cop(spec, origin)
     for map_ in (pack.resistance_ohm, pack.charge_limit_soc_kw, pack.discharge_limit_soc_kw, cop):
         check_covers(map_, PACK_C, lo, hi, origin, "the battery's temperature limits")

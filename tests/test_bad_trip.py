@@ -53,7 +53,27 @@ CASES: list[tuple[dict[str, Any], str, str, str, str]] = [
     ({"charger": {"name": "x"}}, "trip.toml", "charger", "{'name': 'x'}", "a list"),
     ({"grid.cells": 3.5}, "trip.toml", "grid.cells", "3.5", "a whole number"),
     ({"grid.cells": 1}, "trip.toml", "grid.cells", "1", "2 to 200"),
-    ({"grid.step_km": 0}, "trip.toml", "grid.step_km", "0", "greater than 0"),
+    ({"grid.step_km": 0}, "trip.toml", "grid.step_km", "0", "or equal to 0.05"),
+    ({"grid.step_km": 0.001}, "trip.toml", "grid.step_km", "0.001", "or equal to 0.05"),
+    ({"grid.step_km": NAN}, "trip.toml", "grid.step_km", "nan", "a finite number"),
+    # other units: J/K, t, mAh, W, mohm
+    (
+        {"car.heat_capacity_kwh_per_k": 375_000},
+        "car.toml",
+        "heat_capacity_kwh_per_k",
+        "375000",
+        "less than or equal to 10",
+    ),
+    ({"car.mass_kg": 2.1}, "car.toml", "mass_kg", "2.1", "greater than or equal to 100"),
+    ({"car.capacity_ah": 2e5}, "car.toml", "capacity_ah", "200000.0", "or equal to 10000"),
+    (
+        {"charger.2.power_kw": 150_000},
+        "trip.toml",
+        "charger.2.power_kw ('Cheap')",
+        "150000",
+        "or equal to 10000",
+    ),
+    ({"car.resistance_ohm": 80}, "car.toml", "resistance_ohm", "80.0", "at most 10 ohm"),
     # states of charge
     ({"start.soc": 90}, "trip.toml", "start.soc", "90", "less than or equal to 1"),
     ({"start.soc": NAN}, "trip.toml", "start.soc", "nan", "a finite number"),
@@ -270,8 +290,8 @@ CASES: list[tuple[dict[str, Any], str, str, str, str]] = [
     (
         {"car.ocv_v": [[0.0, 330.0], [100.0, 400.0]]},
         "car.toml",
-        "ocv_v",
-        "'SoC 0 to 100'",
+        "ocv_v.2",
+        "[100.0, 400.0]",
         "SoC from 0 to 1",
     ),
     (

@@ -376,3 +376,13 @@ def test_small_trip_takes_changes() -> None:
     assert (trip.start_soc, trip.vehicle.heat_pump_kw, trip.grid.cells) == (0.3, 0.0, 4)
     assert trip.start_temperature_c == trip.chargers[0].ambient_c == -10.0
     assert trip.route.length_km == ROAD[-1][0]
+
+
+@pytest.mark.parametrize("ambient", [-30.0, 40.0])
+def test_ambient_at_the_edge_of_a_table_is_covered(ambient: float) -> None:
+    """A mean of equal temperatures misses them by rounding."""
+    overrides = {"route.ambient_c": ambient, "start.battery_temperature_c": 20.0}
+    points = [[-30.0, 4.0], [40.0, 0.0]]
+    cabin = {"vehicle.cabin_heating_kw": points, "vehicle.cabin_cooling_kw": points}
+    trip = load_trip("paper-400km", {**overrides, **cabin})
+    assert trip.route.ambient_c == pytest.approx(np.full(trip.route.ambient_c.shape, ambient))
