@@ -309,7 +309,7 @@ def sweep(
     def keep(index: int, found: tuple[dict[str, Any] | None, str, float]) -> None:
         result, error, seconds = found
         if result is not None and result.get("interrupted") == STOPPED:
-            return
+            raise KeyboardInterrupt  # the plan took it and returned what it had
         rows[index] = SweepRow(index, grid[index], result, error, seconds)
         store.write(rows[index])
         if progress is not None:

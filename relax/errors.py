@@ -34,6 +34,10 @@ class InputError(EvrelaxError, ValueError):
         origin = "" if itself else f"{source}: "
         super().__init__(f"{origin}{field}: {shown}; allowed: {allowed}")
 
+    def __reduce__(self) -> tuple[type, tuple[str, str, object, str]]:
+        """Return how to make it again, in another process too."""
+        return type(self), (self.source, self.field, self.value, self.allowed)
+
 
 class DomainError(EvrelaxError, ValueError):
     """A map was asked for a value outside its table; maps never extrapolate."""

@@ -36,6 +36,11 @@ def quick(trip: Trip) -> dict[str, Any]:
     return {"length": trip.route.length_km, "pump": trip.vehicle.heat_pump_kw}
 
 
+def refusing(trip: Trip) -> dict[str, Any]:
+    """A task that has its own input, and refuses it."""
+    raise InputError("a", "b", 3, "less")
+
+
 def deadly(trip: Trip, folder: str) -> dict[str, Any]:
     """A task that kills its process the first time that it meets 0 C."""
     flag = Path(folder) / "died"
@@ -208,12 +213,24 @@ def test_an_error_of_the_task_is_not_hidden(trip: str, tmp_path: Path) -> None:
 
 
 def test_a_plan_that_ctrl_c_cut_short_is_not_kept(trip: str, tmp_path: Path) -> None:
-    """A worker gets the signal too, and its plan returns what it has."""
+    """The plan took the signal and returned what it had: no further variant is run."""
     file = tmp_path / "rows.jsonl"
-    found = sweep(
-        trip, {"start.soc": [0.5]}, task=lambda t: {"interrupted": "interrupted"}, file=file
-    )
-    assert found.rows == () and len(found.missing) == 1 and not file.exists()
+    run: list[float] = []
+
+    def stopped(t: Trip) -> dict[str, Any]:
+        run.append(t.start_soc)
+        return {"interrupted": "interrupted" if len(run) == 2 else ""}
+
+    found = sweep(trip, {"start.soc": [0.5, 0.6, 0.7, 0.8]}, task=stopped, file=file)
+    assert run == [0.5, 0.6]
+    assert len(found.rows) == 1 and len(found.missing) == 3 and found.interrupted == "interrupted"
+    assert len(file.read_text().splitlines()) == 1
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_an_input_error_of_the_task_comes_through(trip: str, workers: int) -> None:
+    with pytest.raises(InputError, match="a: b: 3; allowed: less"):
+        sweep(trip, {"start.soc": [0.5]}, task=refusing, workers=workers)
 
 
 def test_numbers_of_numpy_are_numbers(trip: str) -> None:
