@@ -214,9 +214,10 @@ def audit_evidence(
     failures = [*proofs.failures, *stages.failures]
     accounted = _accounted(evidence)
     failures += accounted
-    found = _bounds(evidence, proofs, stages, failures)
+    # rows that do not account for every choice claim nothing
+    found = [] if accounted else _bounds(evidence, proofs, stages, failures)
     bound = stages.bound if accounted else min(found, default=-inf)
-    own = _own_bound(evidence, found)
+    own = stages.bound if accounted else _own_bound(evidence, found)
     cost = inf
     if evidence.driven is not None:
         try:

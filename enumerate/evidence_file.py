@@ -15,6 +15,7 @@ import math
 import os
 import struct
 import tempfile
+import tokenize
 import zipfile
 import zlib
 from pathlib import Path
@@ -48,9 +49,9 @@ LEAST_STEP_KM, MOST_CELLS = 0.01, 1000
 """A finer grid than this is damage [km, cells]."""
 BROKEN = (
     OSError, EOFError, ValueError, KeyError, TypeError, IndexError, OverflowError, MemoryError,
-    RecursionError, NotImplementedError, zipfile.BadZipFile, zlib.error,
+    RuntimeError, SyntaxError, tokenize.TokenError, zipfile.BadZipFile, zlib.error,
 )  # fmt: skip
-"""What numpy, zip and JSON raise on damaged files."""
+"""What numpy, zip and JSON raise on damaged files; numpy reads a header as Python."""
 
 
 # ---------------------------------------------------------------------------- fingerprint

@@ -144,6 +144,13 @@ def test_rows_must_account_for_every_subset_once(evidence: Evidence) -> None:
     assert not holds and "rows: " in text
 
 
+@pytest.mark.parametrize("charger", [-1, 7, 2**53])
+def test_a_row_of_a_charger_that_there_is_not_is_named(two: Evidence, charger: int) -> None:
+    odd = dataclasses.replace(two.rows[0], subset=(charger,))
+    holds, text = check(dataclasses.replace(two, rows=(odd, *two.rows[1:])))
+    assert not holds and "rows: " in text
+
+
 def test_rows_must_follow(two: Evidence) -> None:
     for row in two.rows:
         if row.outcome is Outcome.INFEASIBLE:

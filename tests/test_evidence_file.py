@@ -173,6 +173,10 @@ def test_every_cut_and_every_flipped_byte_is_noticed(file: Path, tmp_path: Path)
         except InputError:
             noticed += 1
     assert noticed >= 50
+    encrypted = bytearray(whole)
+    encrypted[whole.rindex(b"PK\x01\x02") + 8] |= 1
+    path.write_bytes(bytes(encrypted))
+    refused(path, "encrypted")
 
 
 def rewritten(file: Path, path: Path, change: Any) -> None:
