@@ -15,7 +15,7 @@ import numpy as np
 
 from relax.instance import MIN_CHARGE_KWH, Drive, Instance, make_instance
 from relax.plan import Trajectory
-from relax.refinement import refine
+from relax.refinement import RefineSettings, refine
 from relax.simulate import Simulation
 from relax.starts import best_start, even_start
 from relax.trip import Trip
@@ -79,7 +79,7 @@ def _drive_full(trip: Trip, drive: Drive) -> tuple[Instance, np.ndarray]:
     return instance, trajectory.energy_kwh
 
 
-def diagnose(trip: Trip, drive: Drive) -> Diagnosis:
+def diagnose(trip: Trip, drive: Drive, deadline: float = inf) -> Diagnosis:
     """Return how far the car gets and what would make the trip possible.
 
     Parameters
@@ -88,6 +88,8 @@ def diagnose(trip: Trip, drive: Drive) -> Diagnosis:
         The trip.
     drive : Drive
         Its driving steps.
+    deadline : float
+        ``time.perf_counter()`` from which on no limit is tried [s].
     """
     instance, energy = _drive_full(trip, drive)
     least = instance.energy_min_kwh
@@ -95,7 +97,7 @@ def diagnose(trip: Trip, drive: Drive) -> Diagnosis:
     short = np.flatnonzero(energy < least - 1e-6)
     length = trip.route.length_km
     if short.size == 0:
-        return _other_limit(trip, instance)
+        return _other_limit(trip, instance, RefineSettings(deadline=deadline))
     end_only = short[0] == drive.n_steps and energy[-1] >= pack.energy_kwh(trip.soc_min.at(length))
     k = int(short[0])
     above, below = energy[k - 1] - least[k - 1], energy[k] - least[k]
@@ -134,7 +136,11 @@ def diagnose(trip: Trip, drive: Drive) -> Diagnosis:
 
 
 def _needed(
-    trip: Trip, everywhere: Instance, dwells: frozenset[int], time: bool
+    trip: Trip,
+    everywhere: Instance,
+    dwells: frozenset[int],
+    time: bool,
+    settings: RefineSettings,
 ) -> dict[int, str] | None:
     """Plan without the longest dwell at some chargers, or without the limit of all time.
 
@@ -151,7 +157,9 @@ def _needed(
         own = make_instance(trip, subset, drive=everywhere.drive)
         stops = tuple(replace(s, max_dwell_h=inf) if s.charger in dwells else s for s in own.stops)
         free = replace(own, stops=stops, total_dwell_h=inf if time else own.total_dwell_h)
-        found = refine(free, best_start(free, None, 0.0))
+        if settings.late:
+            return None
+        found = refine(free, best_start(free, None, 0.0), settings)
         if found.feasible:
             return _exceeded(trip, own, found.trajectory)
         if not subset:
@@ -180,29 +188,34 @@ def _exceeded(trip: Trip, instance: Instance, plan: Trajectory) -> dict[int, str
     return needed
 
 
-def _other_limit(trip: Trip, everywhere: Instance) -> Diagnosis:
+def _other_limit(trip: Trip, everywhere: Instance, settings: RefineSettings) -> Diagnosis:
     """Return the diagnosis when energy suffices but another limit stands in the way."""
     every, none = frozenset(everywhere.subset), frozenset[int]()
     limited = everywhere.total_dwell_h < inf
     remedies: list[str] = []
     reasons: list[str] = []
     if limited:
-        needed = _needed(trip, everywhere, none, time=True)
+        needed = _needed(trip, everywhere, none, time=True, settings=settings)
         if needed:
             remedies += needed.values()
             reasons.append(ALL_TIME)
-    needed = _needed(trip, everywhere, every, time=False)
+    needed = _needed(trip, everywhere, every, time=False, settings=settings)
     if needed:
         tried = sorted(every) if len(every) <= MAX_TRIED else [*needed]
-        single = [_needed(trip, everywhere, frozenset([c]), time=False) for c in tried]
+        single = [
+            _needed(trip, everywhere, frozenset([c]), time=False, settings=settings) for c in tried
+        ]
         alone = [text for one in single if one for text in one.values()]
         remedies += alone or [TOGETHER.join(needed.values())]
         reasons.append(ONE_DWELL)
     if limited and not remedies:
-        needed = _needed(trip, everywhere, every, time=True)
+        needed = _needed(trip, everywhere, every, time=True, settings=settings)
         if needed:
             remedies.append(TOGETHER.join(needed.values()))
             reasons.append(f"{ALL_TIME} and {ONE_DWELL}")
     reason = "the energy of the chargers would suffice, but another limit stands in the way: "
-    reason += " or ".join(reasons) or "temperature, discharge power or the least energy"
+    unknown = "temperature, discharge power or the least energy"
+    if settings.late:
+        unknown = "there was no time to find out which"
+    reason += " or ".join(reasons) or unknown
     return Diagnosis(trip.route.length_km, 0.0, reason, tuple(remedies))

@@ -432,7 +432,9 @@ class Search:
             assert best.refined is not None
             subset, self.tried = best.row.subset, best.refined
             instance = self.setting.instance(subset)
-            done = execute(self.setting.trip, instance, best.refined, self.setting.refine)
+            # a plan is there: its repairs are worth more than the moment
+            settings = replace(self.setting.refine, deadline=inf)
+            done = execute(self.setting.trip, instance, best.refined, settings)
             if done.reason:
                 row = replace(
                     best.row,

@@ -30,6 +30,9 @@ MAX_CHARGERS = 64
 """More chargers than this are refused."""
 MAX_PLANNED = 10
 """Up to this many chargers all subsets can be planned (``prune=False``)."""
+GRACE, GRACE_S = 1.25, 1.0
+"""A plan or a reason that is being looked for when time is up may take this multiple of the time
+allowed and so much more [s]: little, for an answer instead of none."""
 
 
 def plan(
@@ -101,7 +104,9 @@ def plan(
     if gap is not None and not 0.0 < gap < 1.0:
         raise ValueError(f"gap must be above 0 and below 1, not {gap}")
     grid = grid or trip.grid
-    setting = Setting(trip, make_drive(trip, grid.step_km), grid, RefineSettings(solver=solver))
+    allowed = inf if time_limit_s is None else time_limit_s
+    refinement = RefineSettings(solver=solver, deadline=begin + GRACE * allowed + GRACE_S)
+    setting = Setting(trip, make_drive(trip, grid.step_km), grid, refinement)
     timings: dict[str, float] = {}
 
     def lap(name: str) -> None:
@@ -113,7 +118,7 @@ def plan(
         search = Search(
             setting,
             executor,
-            begin + (inf if time_limit_s is None else time_limit_s),
+            begin + allowed,
             progress,
             single=not prune or n_chargers <= FEW_CHARGERS,
             keep_proofs=keep_proofs,
@@ -157,6 +162,12 @@ def _result(search: Search, gap: float | None, timings: dict[str, float], begin:
     elif all(row.outcome is Outcome.INFEASIBLE for row in ledger.rows):
         status = Status.INFEASIBLE
     settled = report is None and not search.interrupted
+    diagnosis = None
+    if settled:
+        try:
+            diagnosis = diagnose(trip, search.setting.drive, search.setting.refine.deadline)
+        except KeyboardInterrupt:
+            pass  # what is proved is worth more than the reason
     timings["total"] = time.perf_counter() - begin
     return Result(
         trip=trip.name,
@@ -174,7 +185,7 @@ def _result(search: Search, gap: float | None, timings: dict[str, float], begin:
         timings_s=timings,
         asked_gap=gap,
         interrupted=search.interrupted,
-        diagnosis=diagnose(trip, search.setting.drive) if settled else None,
+        diagnosis=diagnosis,
         grid=search.setting.grid,
         instance=instance,
         execution=None if report is None else done,

@@ -128,7 +128,10 @@ def relax_node(setting: Setting, node: Node) -> Node:
 
 
 def refine_node(setting: Setting, node: Node, starts: list[Controls] | None = None) -> Node:
-    """Plan a subset from its relaxed point or from given starts; a better plan it has stays."""
+    """Plan a subset from its relaxed point or from given starts; a better plan it has stays.
+
+    Unless it was refused when it was driven: then any plan that differs is better.
+    """
     begin = time.perf_counter()
     instance = setting.instance(node.row.subset)
     first = starts is None
@@ -140,14 +143,19 @@ def refine_node(setting: Setting, node: Node, starts: list[Controls] | None = No
     found = [refine(instance, start, setting.refine, simulation, known) for start in starts]
     if first and not any(one.feasible for one in found):  # may miss a limit by a hair
         found.append(refine(instance, even_start(instance), setting.refine))
-    best = best_of([*([had] if had else []), *found], instance)
-    if had is not None and had.feasible and had.trajectory.cost < best.trajectory.cost:
+    refused = known is not None and node.row.outcome is Outcome.UNPROVED
+    candidates = [*([had] if had and not refused else []), *found]
+    if not candidates:
+        return node
+    best = best_of(candidates, instance)
+    if had and known and not refused and known.cost < best.trajectory.cost:
         best = had  # both hold; merit would prefer the dearer one for missing by less
+    reason = node.row.reason if refused else "no feasible plan found, none disproved"
     row = replace(
         node.row,
         cost=best.trajectory.cost if best.feasible else inf,
         outcome=Outcome.PLANNED if best.feasible else Outcome.UNPROVED,
-        reason="" if best.feasible else "no feasible plan found, none disproved",
+        reason="" if best.feasible else reason,
         programs=node.row.programs + sum(r.programs for r in found),
         seconds=node.row.seconds + time.perf_counter() - begin,
     )

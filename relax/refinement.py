@@ -7,6 +7,7 @@ it suggests plans and never proves anything. Method and what failed: docs/refine
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from math import inf
@@ -78,6 +79,8 @@ class RefineSettings:
     hopeless : float
         Cost to beat: a search that could not reach it with several times its
         predicted gain ends at a looser tolerance, 0.2 % [currency].
+    deadline : float
+        ``time.perf_counter()`` from which on no program is solved [s].
     """
 
     tolerance: float = 2e-5
@@ -85,6 +88,12 @@ class RefineSettings:
     solver: Literal["clarabel", "osqp"] = "clarabel"
     solver_tolerance: float = 1e-5
     hopeless: float = inf
+    deadline: float = inf
+
+    @property
+    def late(self) -> bool:
+        """Whether time is up."""
+        return time.perf_counter() > self.deadline
 
 
 @dataclass(frozen=True)
@@ -311,6 +320,8 @@ def refine(
         left = settings.max_programs - found.programs
         if found.feasible or left <= 0 or found.trajectory.cost >= settings.hopeless:
             break
+        if settings.late:
+            break
         begin = start if found is first else found.controls
         again = _descend(simulation, begin, replace(settings, max_programs=left), weight)
         found = replace(
@@ -366,6 +377,8 @@ def _descend(
         cells = expand_cells(instance, now, kinks=bool(step.kinks)) if now.stops else None
         accepted = False
         while programs < settings.max_programs and trust.temperature_k > LEAST_TRUST_K:
+            if settings.late:
+                return Refined(controls, now, is_feasible(now), programs, seconds)
             program = step.build(now, drive, cells, multipliers, penalty, trust)
             solution = solve(program)
             if solution.status not in USABLE:

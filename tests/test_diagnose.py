@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+import sys
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +14,8 @@ from trips import small_trip
 
 from enumerate import Diagnosis, Status, plan
 from enumerate.diagnose import diagnose
-from relax import Table2, Trip, load_trip, make_drive
+from enumerate.show import format_result
+from relax import Table2, Trip, load_trip, make_drive, make_instance
 
 
 def diagnosed(trip: Trip) -> Diagnosis:
@@ -88,6 +91,21 @@ def test_no_time_limit_is_named_where_the_pack_is_too_weak() -> None:
     found = diagnosed(trip)
     assert found.remedies == ()
     assert found.reason.endswith("temperature, discharge power or the least energy")
+
+
+def test_a_reason_takes_no_longer_than_allowed(monkeypatch: pytest.MonkeyPatch) -> None:
+    trip, _ = CASES["both"]
+    instance = make_instance(trip, ())
+    late = diagnose(trip, instance.drive, deadline=time.perf_counter())
+    assert late.remedies == () and late.reason.endswith("no time to find out which")
+
+    def stopped(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(sys.modules["enumerate.search"], "diagnose", stopped)
+    result = plan(trip)
+    assert result.status is Status.INFEASIBLE and result.diagnosis is None
+    assert "infeasible" in format_result(result, trip)
 
 
 def test_a_charger_is_proposed_only_where_a_full_battery_lasts_from_there() -> None:

@@ -4,16 +4,22 @@ from __future__ import annotations
 
 import math
 import sys
+import time
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from itertools import pairwise
+from math import inf
 
 import pytest
 from trips import small_trip
 
 from enumerate import Outcome, Progress, Result, Status, plan
+from enumerate.ledger import Row
 from enumerate.show import format_result
-from relax import load_trip
+from enumerate.tasks import Node, Setting, refine_node, relax_node
+from relax import load_trip, make_drive, make_instance, refine
+from relax.refinement import RefineSettings
+from relax.starts import even_start
 from relax.trip import Trip
 
 PAPER = load_trip("paper-400km", {"route.ambient_c": 10.0})
@@ -215,6 +221,25 @@ def test_a_refused_plan_reopens_what_was_closed_against_it(
     row = next(r for r in result.ledger.rows if r.subset == best.subset)
     assert row.outcome is Outcome.UNPROVED and "made up" in row.reason
     assert result.lower_bound <= best.cost
+
+
+def test_a_refused_plan_is_planned_again_only_by_another(serial: Result) -> None:
+    """Else a subset whose plan was refused would end as planned, without a plan to show."""
+    trip = PAPER
+    setting = Setting(trip, make_drive(trip, 4.0), trip.grid, RefineSettings())
+    node = refine_node(setting, relax_node(setting, Node(Row((1,), Outcome.UNPROVED))))
+    assert node.row.outcome is Outcome.PLANNED and node.refined is not None
+    refused = replace(node, row=replace(node.row, outcome=Outcome.UNPROVED, cost=inf, reason="no"))
+    assert refine_node(setting, refused, []).row is refused.row
+    other = refine_node(setting, refused, [even_start(setting.instance((1,)))])
+    assert other.row.outcome is Outcome.PLANNED and other.refined is not node.refined
+
+
+def test_refinements_end_at_the_deadline() -> None:
+    instance = make_instance(PAPER, (1,))
+    start = even_start(instance)
+    done = refine(instance, start, RefineSettings(deadline=time.perf_counter()))
+    assert done.programs == 0
 
 
 def test_the_bound_shown_never_falls_and_never_exceeds_what_is_proved() -> None:
