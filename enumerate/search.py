@@ -85,7 +85,8 @@ def plan(
     Raises
     ------
     ValueError
-        More than 64 chargers, or 10 with ``prune=False``; a gap not above 0 and below 1.
+        More than 64 chargers, or 10 with ``prune=False``; a gap not above 0 and below 1; a
+        time limit below 0, or no worker.
 
     Examples
     --------
@@ -103,6 +104,10 @@ def plan(
         raise ValueError(f"all subsets of at most {MAX_PLANNED} chargers are planned")
     if gap is not None and not 0.0 < gap < 1.0:
         raise ValueError(f"gap must be above 0 and below 1, not {gap}")
+    if time_limit_s is not None and not time_limit_s >= 0.0:
+        raise ValueError(f"time_limit_s must not be below 0, not {time_limit_s}")
+    if not workers >= 1:
+        raise ValueError(f"workers must be at least 1, not {workers}")
     grid = grid or trip.grid
     allowed = inf if time_limit_s is None else time_limit_s
     refinement = RefineSettings(solver=solver, deadline=begin + GRACE * allowed + GRACE_S)

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from relax.instance import MIN_CHARGE_KWH, Instance
 from relax.plan import Controls, StopControls
 from relax.refinement import complete, merit
-from relax.simulate import Simulation, Thermostat, idle_controls
+from relax.simulate import Simulation, Thermostat, idle_controls, is_feasible
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -148,6 +148,8 @@ def best_start(
         return merit(instance, trajectory), controls
 
     even = even_start(instance)
+    if not instance.stops and is_feasible(simulation.run(even)):
+        return even  # nothing costs anything: the relaxed optimum would heat and cool at random
     first = completed(even if point is None else relaxed_start(instance, point))
     if first[0] <= bound + NEAR * abs(bound) or not instance.stops:
         return first[1]

@@ -188,9 +188,30 @@ def test_a_start_above_the_largest_charge_is_legal() -> None:
     assert all(stop.depart_soc <= 0.8 + 1e-6 for stop in result.plan.stops)
 
 
-@pytest.mark.parametrize("changes", [{"gap": 0.0}, {"gap": -1.0}, {"gap": math.nan}])
-def test_a_gap_that_is_none_is_refused(changes: dict[str, float]) -> None:
-    with pytest.raises(ValueError, match="gap must be above 0"):
+@pytest.mark.parametrize("pump_kw", [0.0, 2.0])
+def test_without_a_stop_nothing_is_heated_for_nothing(pump_kw: float) -> None:
+    """Whatever the car does costs nothing then; the heat pump saves energy all the same."""
+    trip = replace(small_trip(vehicle__heat_pump_kw=pump_kw), chargers=(), start_soc=0.9)
+    result = plan(trip, gap=0.01)
+    assert result.status is Status.OPTIMAL and result.replay is not None
+    used = result.replay.totals_kwh
+    assert used["battery_heater"] == 0.0 and used["battery_cooling"] == 0.0
+    assert (used["heat_pump"] > 0.0) == (pump_kw > 0.0)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"gap": 0.0},
+        {"gap": -1.0},
+        {"gap": math.nan},
+        {"time_limit_s": -1.0},
+        {"time_limit_s": math.nan},
+        {"workers": 0},
+    ],
+)
+def test_settings_of_no_sense_are_refused(changes: dict[str, float]) -> None:
+    with pytest.raises(ValueError, match=f"{next(iter(changes))} must "):
         plan(PAPER, **changes)
 
 
