@@ -394,7 +394,7 @@ def _result(search: _Search, trip: Trip, measure: str, gap: float | None) -> Fro
 
 
 def _priced(trip: Trip, driven: Driven) -> Execution:
-    """Return the execution with the costs the stops have at the trip's own prices."""
+    """Return the execution at the trip's own prices, driven and on the grid."""
     done = driven.execution
     assert done.replay is not None
     own = make_instance(replace(trip, time_value_per_h=0.0), driven.plan.subset)
@@ -402,5 +402,12 @@ def _priced(trip: Trip, driven: Driven) -> Execution:
         replace(ran, cost=stop_cost(stop, ran.dwell_h, ran.grid_kwh))
         for stop, ran in zip(own.stops, done.replay.stops, strict=True)
     )
-    cost = sum(s.cost for s in stops)
-    return replace(done, replay=replace(done.replay, stops=stops, cost=cost))
+    on_grid = sum(
+        stop_cost(stop, float(planned.dwell_h.sum()), float(planned.grid_kwh.sum()))
+        for stop, planned in zip(own.stops, done.trajectory.stops, strict=True)
+    )
+    return replace(
+        done,
+        replay=replace(done.replay, stops=stops, cost=sum(s.cost for s in stops)),
+        trajectory=replace(done.trajectory, cost=on_grid),
+    )

@@ -88,6 +88,7 @@ def test_a_point_is_its_plan_and_lies_above_its_bounds(name: str, fronts: dict[s
             paid += spec.occupancy_price_per_h * occupied
             assert stop.cost == pytest.approx(paid)
             at_own_prices += paid
+        assert abs(p.plan.deviation.cost) < 0.01, "driven and on the grid at the same prices"
         expected = p.energy_kwh if measure == "energy" else at_own_prices
         assert p.value == pytest.approx(expected)
 
