@@ -352,7 +352,17 @@ def make_instance(
     -------
     Instance
         Arrays for the programs.
+
+    Raises
+    ------
+    ValueError
+        A charger that the trip does not have, or one named twice.
     """
+    every = (*subset, *undecided)
+    if len(set(every)) < len(every) or not all(0 <= i < len(trip.chargers) for i in every):
+        raise ValueError(
+            f"chargers are 0 to {len(trip.chargers) - 1}, each once, not {subset} and {undecided}"
+        )
     grid = grid or trip.grid
     drive = drive or make_drive(trip, grid.step_km)
     used = [make_stop(trip, drive, i) for i in subset]

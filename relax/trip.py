@@ -129,10 +129,23 @@ class Grid:
         Longest driving step [km].
     cells : int
         Cells of equal internal energy per charging stop.
+
+    Raises
+    ------
+    ValueError
+        The step is not above 0, or there is no cell.
     """
 
     step_km: float = 4.0
     cells: int = 12
+
+    def __post_init__(self) -> None:
+        """Check that a trip can be cut so."""
+        if not (0.0 < self.step_km < inf and self.cells == int(self.cells) >= 1):
+            raise ValueError(
+                "a grid has steps above 0 km and 1 cell or more, "
+                f"not {self.step_km} and {self.cells}"
+            )
 
 
 @dataclass(frozen=True)

@@ -202,3 +202,19 @@ def test_grid_limit_is_the_least_of_rating_current_and_curve() -> None:
         curve = float(np.interp(soc, [0.1, 0.6, 0.9], [120.0, 90.0, 20.0]))
         expected = min(100.0, 0.2 * volt, curve)
         assert limit.at(float(pack.energy_kwh(soc))) == pytest.approx(expected, rel=1e-12), soc
+
+
+@pytest.mark.parametrize(
+    ("used", "maybe"), [((1, 1), ()), ((-1,), ()), ((3,), ()), ((1,), (1,)), ((), (0, 3))]
+)
+def test_chargers_are_those_of_the_trip_each_once(
+    used: tuple[int, ...], maybe: tuple[int, ...]
+) -> None:
+    with pytest.raises(ValueError, match="chargers are 0 to 2, each once"):
+        make_instance(load_trip("paper-400km"), used, undecided=maybe)
+
+
+@pytest.mark.parametrize(("step_km", "cells"), [(0.0, 12), (-4.0, 12), (np.nan, 12), (4.0, 0)])
+def test_a_grid_cuts_a_trip(step_km: float, cells: int) -> None:
+    with pytest.raises(ValueError, match="steps above 0 km and 1 cell or more"):
+        Grid(step_km, cells)
