@@ -147,14 +147,14 @@ class _OneLine(click.Command):
         **extra: Any,
     ) -> Any:
         """Run it; see ``click.Command.main``."""
-        from relax.errors import InputError
+        from relax.errors import EvrelaxError
 
         settings: dict[str, Any] = {"complete_var": complete_var, **extra}
         if not standalone_mode:
             return super().main(args, prog_name, standalone_mode=False, **settings)
         try:
             code = super().main(args, prog_name, standalone_mode=False, **settings)
-        except InputError as error:
+        except EvrelaxError as error:  # of numbers that are allowed but make no sense together too
             fail(str(error), BAD_INPUT)
         except click.UsageError as error:
             _fail_usage(error)

@@ -7,6 +7,7 @@ value and what is allowed. Imports nothing heavy.
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 
@@ -137,7 +138,7 @@ def settings(
             raise bad_option("--set", text, "key=value")
         try:
             document = tomllib.loads(f"value = {value}")
-        except tomllib.TOMLDecodeError:
+        except (ValueError, RecursionError):  # no TOML, or none that can be read
             document = {}
         found[key.strip()] = document["value"] if set(document) == {"value"} else value
     return found
@@ -179,7 +180,7 @@ def _list(text: str) -> list[Any]:
     for entry in text.split(","):
         try:
             found.append(tomllib.loads(f"value = {entry}")["value"])
-        except tomllib.TOMLDecodeError:
+        except (ValueError, RecursionError):
             found.append(entry.strip())
     return found
 
@@ -194,4 +195,10 @@ def _range(text: str) -> list[Any]:
     return [int(v) for v in values] if first.is_integer() and step.is_integer() else values
 
 
-QUIET = click.option("--quiet", "-q", is_flag=True, help="No progress on standard error.")
+QUIET = click.option(
+    "--quiet",
+    "-q",
+    is_flag=True,
+    callback=lambda _, __, quiet: quiet or sys.stderr is None,  # it may be closed
+    help="No progress on standard error.",
+)

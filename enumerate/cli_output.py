@@ -59,14 +59,15 @@ def check_files(files: Mapping[str, str | None], trip: str) -> None:
         if file is None or (option == "--json" and file == STDOUT):
             continue
         path = Path(os.path.realpath(file))
-        there = path.exists()
-        if path in taken and (path.is_file() or not there):
+        there = os.path.exists(path)
+        if path in taken and (os.path.isfile(path) or not there):
             raise bad_option(option, file, f"another file than that of {taken[path]}")
         taken[path] = option
         if option in REGULAR and there and not path.is_file():
             raise bad_option(option, file, "a regular file, or a free name")
         try:
-            if path.is_file() or path.is_dir() or not there:  # opening a pipe would wait
+            # opening a pipe would wait
+            if os.path.isfile(path) or os.path.isdir(path) or not there:
                 with path.open("ab"):
                     pass
                 if not there:

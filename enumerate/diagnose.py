@@ -117,6 +117,10 @@ def diagnose(trip: Trip, drive: Drive, deadline: float = inf) -> Diagnosis:
     remedies = []
     if end_only:
         soc = float(pack.soc(energy[-1]))
+        reason = (
+            f"the car arrives with a SoC of {soc:.2f}; {missing:.1f} kWh are missing to the "
+            f"{trip.end_soc_min:.2f} that it is to arrive with at least"
+        )
         remedies.append(f"end.soc_min of at most {np.floor(soc * 100) / 100:.2f}")
     if not instance.stops:
         wanted = instance.start_energy_kwh + 1.02 * missing

@@ -302,6 +302,8 @@ def pareto(
         raise ValueError(f"gap must be above 0 and below 1, not {gap}")
     if latest_h is not None and not latest_h > 0.0:
         raise ValueError(f"latest_h must be above 0, not {latest_h}")
+    if times_h is not None and not all(0.0 < t < inf for t in times_h):
+        raise ValueError(f"times_h must be above 0, not {list(times_h)}")
     if measure not in ("energy", "cost"):
         raise ValueError(f"measure must be 'energy' or 'cost', not {measure!r}")
     grid = grid or trip.grid

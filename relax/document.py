@@ -158,7 +158,7 @@ def read_toml(file: Traversable, source: str) -> dict[str, Any]:
     text = read_text(file, source)
     try:
         return tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+    except (ValueError, RecursionError) as error:  # too long a number, too deep a list
         lines = text.splitlines() or [""]
         found = re.search(r"\(at line (\d+)", str(error))
         number = int(found[1]) if found else len(lines)

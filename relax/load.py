@@ -118,7 +118,7 @@ def _find(name: str | Path, kind: str) -> tuple[Traversable, str]:
     known = _shipped(kind)
     if isinstance(name, str) and text in known:
         return files("relax") / "data" / kind / f"{text}{end}", f"{text} (shipped)"
-    if text and Path(text).is_file():
+    if os.path.isfile(text):
         return Path(text), one_line(text)
     stem = Path(text).name.removesuffix(end)
     allowed = f"a {end} file that exists, or a shipped name: {one_of(known, stem)}"
@@ -145,7 +145,7 @@ def _find_in(
         return files("relax") / "data" / kind / f"{preset}{SUFFIX[kind]}", f"{preset} (shipped)"
     path = Path(folder or "", str(file))
     shown = one_line(str(path))
-    if not path.is_file():
+    if not os.path.isfile(path):
         allowed = f"a {SUFFIX[kind]} file that exists, beside the trip (looked for {shown})"
         raise origin.error(f"{section}.file", file, allowed)
     return path, shown

@@ -17,6 +17,7 @@ from relax.execute import Execution
 from relax.instance import Instance
 from relax.maps import Table2
 from relax.plan import StopTrajectory, Trajectory
+from relax.trip import DRIVE
 
 if TYPE_CHECKING:
     from relax.driven import Replay, ReplayStop
@@ -211,7 +212,7 @@ class PlanReport:
 
     def trajectory(self) -> dict[str, dict[str, Array]]:
         """Return all arrays by name: ``drive`` and one entry per stop, named by its charger."""
-        traces: dict[str, dict[str, Array]] = {"drive": asdict(self.drive)}
+        traces: dict[str, dict[str, Array]] = {DRIVE: asdict(self.drive)}
         for trace in self.charge:
             arrays = asdict(trace)
             arrays.pop("charger")

@@ -70,7 +70,10 @@ def read_profile(file: Traversable, source: str, name: str) -> Profile:
     lines = list(enumerate(read_text(file, source).splitlines(), start=1))
     kept = [(k, line) for k, line in lines if line.strip() and not line.lstrip().startswith("#")]
     numbers = [k for k, _ in kept]
-    cells = [[cell.strip() for cell in row] for row in csv.reader(line for _, line in kept)]
+    try:
+        cells = [[cell.strip() for cell in row] for row in csv.reader(line for _, line in kept)]
+    except csv.Error as error:
+        raise InputError(source, "rows", str(error), "rows of a CSV file") from error
     if not cells:
         raise InputError(source, "header", None, "columns distance_km, speed_kmh, ...")
     header = cells[0]

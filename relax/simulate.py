@@ -14,6 +14,7 @@ from math import inf
 import numpy as np
 
 from relax.commands import check_controls
+from relax.errors import InputError
 from relax.instance import LEAST_ROOM_KW, MIN_CHARGE_KWH, Instance, Stop
 from relax.plan import Controls, StopControls, StopTrajectory, Trajectory
 from relax.step import Car, StepResult, charge, drive_rows, drive_step
@@ -302,8 +303,8 @@ def simulate(instance: Instance, controls: Controls) -> Trajectory:
     Raises
     ------
     InputError
-        Controls mean nothing: another number of values, no number, a stop without energy or
-        with a charging power that is not above 0. Names the command.
+        Controls mean nothing: another number of values than steps or cells, no number, a stop
+        without energy or with a charging power that is not above 0. Names the command.
 
     Examples
     --------
@@ -314,6 +315,10 @@ def simulate(instance: Instance, controls: Controls) -> Trajectory:
     (2, (100,))
     """
     check_controls(instance, controls)
+    for i, stop in enumerate(controls.stops):
+        if stop.power_kw.size != instance.cells:
+            name, count = f"stops[{i}].power_kw", f"{stop.power_kw.size} values"
+            raise InputError("controls", name, count, f"one for each of {instance.cells} cells")
     return Simulation(instance).run(controls)
 
 

@@ -15,9 +15,13 @@ import numpy.typing as npt
 from relax.maps import Table1
 from relax.vehicle import Vehicle
 
-__all__ = ["Charger", "Grid", "Route", "Trip"]
+__all__ = ["DRIVE", "Charger", "Grid", "Route", "Trip"]
 
 Array = npt.NDArray[np.float64]
+
+
+DRIVE = "drive"
+"""Name of the drive among the traces of a plan: no charger has it."""
 
 
 @dataclass(frozen=True)

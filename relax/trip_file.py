@@ -16,7 +16,7 @@ from relax.document import Origin
 from relax.maps import Table1
 from relax.propulsion import Profile, make_route
 from relax.schema import TripFile, VehicleFile
-from relax.trip import Charger, Grid, Trip
+from relax.trip import DRIVE, Charger, Grid, Trip
 from relax.vehicle import Vehicle
 from relax.vehicle_file import (
     AMBIENT_C,
@@ -182,6 +182,9 @@ def _chargers(
     for k, c in enumerate(spec.charger, start=1):
         if c.name in (known := [other.name for other in chargers]):
             allowed = f"a name not used before (charger.{known.index(c.name) + 1} has it)"
+            raise origin.error(f"charger.{k}.name", c.name, allowed)
+        if c.name == DRIVE:
+            allowed = f"another name than {DRIVE!r}, by which arrays of the drive are known"
             raise origin.error(f"charger.{k}.name", c.name, allowed)
         if c.position_km > length_km + POSITION_TOLERANCE_KM:
             allowed = f"0 to the trip's length, {length_km:g} km"

@@ -56,6 +56,13 @@ CASES: list[tuple[dict[str, Any], str, str, str, str]] = [
     ({"grid.step_km": 0}, "trip.toml", "grid.step_km", "0", "or equal to 0.05"),
     ({"grid.step_km": 0.001}, "trip.toml", "grid.step_km", "0.001", "or equal to 0.05"),
     ({"grid.step_km": NAN}, "trip.toml", "grid.step_km", "nan", "a finite number"),
+    (
+        {"charger.2.name": "drive"},
+        "trip.toml",
+        "charger.2.name ('drive')",
+        "'drive'",
+        "another name than",
+    ),
     # other units: J/K, t, mAh, W, mohm
     (
         {"car.heat_capacity_kwh_per_k": 375_000},

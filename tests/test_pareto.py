@@ -237,6 +237,7 @@ def test_a_trip_without_a_plan_has_none() -> None:
         ({"gap": 0.0}, "gap must be above 0"),
         ({"gap": 1.0}, "gap must be above 0 and below 1"),
         ({"latest_h": -1.0}, "latest_h must be above 0"),
+        ({"times_h": [0.5, -1.0]}, "times_h must be above 0"),
         ({"measure": "time"}, "measure must be"),
     ],
 )

@@ -27,6 +27,7 @@ from relax import (
     make_instance,
     simulate,
 )
+from relax.errors import InputError
 from relax.instance import MIN_CHARGE_KWH
 from relax.plan import StopControls
 from relax.simulate import Simulation, Thermostat
@@ -488,3 +489,11 @@ def test_halving_the_steps_hardly_moves_the_trajectory() -> None:
         n = instance.drive.n_steps
         finals.append(simulate(instance, Controls(*[np.zeros(n)] * 3, ())).final_temperature_c)
     assert abs(finals[2] - finals[1]) < 0.3 * abs(finals[1] - finals[0]) < 0.001
+
+
+def test_controls_of_other_cells_are_refused() -> None:
+    trip = small_trip()
+    fine = make_instance(trip, (0,), replace(trip.grid, cells=8))
+    coarse = make_instance(trip, (0,), replace(trip.grid, cells=4))
+    with pytest.raises(InputError, match="'8 values'; allowed: one for each of 4 cells"):
+        simulate(coarse, idle_controls(fine, (20.0,)))
