@@ -97,7 +97,7 @@ class Progress:
     phase : str
         What is being done.
     done, total : int
-        Subsets.
+        Of what the phase counts: subsets, leaves, points of a front or per cent of the gap.
     cost : float
         Best plan so far on the transcription [currency].
     lower_bound : float

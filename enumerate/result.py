@@ -58,7 +58,7 @@ class Result:
     replay : Replay or None
         The drive that judged it.
     ledger : Ledger
-        One row per subset.
+        Rows of subsets and of families: every subset is in one.
     chargers : tuple of str
         Names, by index.
     asked_gap : float or None

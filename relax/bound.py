@@ -1,4 +1,4 @@
-"""Owns the bound of a fixed subset: box, relaxation, solve, certificate, in one call.
+"""Owns the bound of a subset or family: box, relaxation, solve, certificate, in one call.
 
 The value an enumerator works with: what is proved about a subset, and where to
 start a refinement. Knows nothing of rows, cones and of other subsets.
@@ -28,7 +28,7 @@ __all__ = ["RelaxedSubset", "relax_subset"]
 
 @dataclass(frozen=True)
 class RelaxedSubset:
-    """What one relaxation says about a fixed subset.
+    """What one relaxation says about a subset or family.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Owns the box: an interval for every quantity of a fixed subset's trajectory.
+"""Owns the box: an interval for every quantity of the trajectories of a subset or family.
 
 A value: ``reach`` derives and shrinks boxes, the relaxation is built on one.
 Knows nothing of dynamics, programs and solvers.
@@ -37,7 +37,7 @@ class Cell:
 
 @dataclass(frozen=True)
 class Box:
-    """Intervals of a fixed subset's quantities; n steps, S stops, K cells.
+    """Intervals of the quantities of a subset or family; n steps, S stops, K cells.
 
     Parameters
     ----------

@@ -1,6 +1,6 @@
 """Owns the steps of a proof about one box: what each one shows, from a dual vector alone.
 
-A step is a kind, a quantity and a dual vector. ``Proof.apply`` rebuilds what the
+A step is a kind, a quantity and a dual vector. ``BoxProof.apply`` rebuilds what the
 step speaks of, certifies it and changes box or bound; the same code runs while a
 proof is found and while it is audited, so that a proof needs no trust in the solver
 nor in the choice of its steps. Knows no solver.

@@ -148,7 +148,7 @@ def _add_passing(model: Model, before: Index, t_before: Index, begin: Interval) 
 
 
 def build_relaxation(instance: Instance, box: Box, *, lean: bool = False) -> ConeProgram:
-    """Return the cone relaxation of a fixed subset on a box.
+    """Return the cone relaxation of a subset or family on a box.
 
     Parameters
     ----------

@@ -295,7 +295,7 @@ def simulate(instance: Instance, controls: Controls) -> Trajectory:
     Returns
     -------
     Trajectory
-        Exact for the transcription (equations (T1) .. (T9) of ``docs/maths.md``),
+        Exact for the transcription (equations (T1) .. (T10) of ``docs/maths.md``),
         feasible in the dynamics; limits of energy, temperature, discharge power
         and dwell may be violated, by the amounts it states. A battery that takes no charge
         at all is charged with 0.02 kW: its excess is a violation, and so is that dwell.
