@@ -275,9 +275,10 @@ def sweep(
     Raises
     ------
     InputError
-        The trip itself cannot be loaded, a key of ``over`` does not exist, no variant is a
-        valid trip, or ``file`` holds something else than rows: nothing is run then. Where some
-        variants are valid trips, each of the others is a row with an error.
+        The trip itself cannot be loaded, a key of ``over`` does not exist or is among the
+        overrides, no variant is a valid trip, or ``file`` holds something else than rows:
+        nothing is run then. Where some variants are valid trips, each of the others is a row
+        with an error.
     ValueError
         A key of ``over`` has no values.
 
@@ -294,6 +295,8 @@ def sweep(
     for key, some in values.items():
         if not some:
             raise ValueError(f"{key} has no values")
+        if key in fixed:
+            raise InputError(name, key, fixed[key], "a value of its own, or several to sweep over")
     grid = [dict(zip(values, point, strict=True)) for point in product(*values.values())]
     path = None if file is None else Path(file)
     store = _File(path, _identity(name, fixed, task))

@@ -233,6 +233,11 @@ def test_an_input_error_of_the_task_comes_through(trip: str, workers: int) -> No
         sweep(trip, {"start.soc": [0.5]}, task=refusing, workers=workers)
 
 
+def test_a_key_has_one_value_or_several(trip: str) -> None:
+    with pytest.raises(InputError, match="a value of its own, or several"):
+        sweep(trip, {"start.soc": [0.5, 0.6]}, task=quick, overrides={"start.soc": 0.5})
+
+
 def test_numbers_of_numpy_are_numbers(trip: str) -> None:
     found = sweep(trip, {"start.soc": np.linspace(0.5, 0.6, 2)}, task=quick)
     assert json.dumps([r.variant for r in found.rows]) == '[{"start.soc": 0.5}, {"start.soc": 0.6}]'
