@@ -309,7 +309,10 @@ def _unsound(step: Step, proof: BoxProof) -> str:
 
 
 def _cut(instance: Instance, family: Family, box: Box, how: Branch) -> list[tuple[Family, Box]]:
-    """Return both parts of a family and box; with no further stop allowed, none is undecided."""
+    """Return both parts of a family and box; with no further stop allowed, none is undecided.
+
+    Written apart from the search's own ``tree.cut``: the audit imports none of it.
+    """
     out = []
     for first, part in zip((True, False), branch(box, how), strict=True):
         subset, undecided = family.subset, family.undecided

@@ -23,7 +23,7 @@ from relax.program import ConeProgram, add_cutoff
 from relax.reach import propagate
 from relax.relaxation import build_relaxation
 
-__all__ = ["BoxProof", "Closed", "Step"]
+__all__ = ["OBJECTIVE_SIZE", "BoxProof", "Closed", "Step"]
 
 Array = npt.NDArray[np.float64]
 

@@ -17,7 +17,7 @@ from relax.box import Box, Cell
 from relax.instance import MIN_CHARGE_KWH, Instance
 from relax.intervals import EMPTY_MARGIN, Interval, pick, range1, range2
 from relax.physics import battery_power
-from relax.reach_heat import COOLING_SLACK_K, pump_limits, temperatures
+from relax.reach_heat import cooling_floor_c, pump_limits, temperatures
 
 __all__ = ["FULL_SLACK_KWH", "make_box", "may_fill", "propagate"]
 
@@ -64,7 +64,7 @@ def _drive_flow(instance: Instance, box: Box) -> tuple[Interval, Interval]:
     pump_hi, heat_hi, drawn_hi = pump_limits(instance, q, cop)
     saved = heat_hi * np.minimum(0.0, 1.0 / np.maximum(cop.hi, 1e-9) - 1.0 / eta_c)
     load_lo = drive.base_kw + q / eta_c + saved
-    cools = box.temperature.hi[1:] >= vehicle.cooling_from_c - COOLING_SLACK_K
+    cools = box.temperature.hi[1:] >= cooling_floor_c(vehicle)
     load_hi = drive.base_kw + vehicle.heater_kw + pump_hi + np.where(cools, vehicle.cooling_kw, 0.0)
     out_hi = range2(pack.discharge_limit_kw, energy, temp).hi
     lo = _power(load_lo, r.lo, ripple)

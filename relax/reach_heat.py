@@ -18,8 +18,9 @@ from relax.instance import Instance
 from relax.intervals import Interval, range1
 from relax.maps import Table1
 from relax.physics import heat_pump_power
+from relax.vehicle import Vehicle
 
-__all__ = ["COOLING_SLACK_K", "pump_limits", "temperatures"]
+__all__ = ["COOLING_SLACK_K", "cooling_floor_c", "pump_limits", "temperatures"]
 
 Array = npt.NDArray[np.float64]
 
@@ -32,6 +33,11 @@ ROUNDING_K = 1e-9
 """Added to an end that is moved, and once more per kW h/K of pace: more than its rounding [K]."""
 FALL_POINTS = 17
 """Points between which the fall of a warm battery at a stop is bounded."""
+
+
+def cooling_floor_c(vehicle: Vehicle) -> float:
+    """Return the temperature below which no plan in the box cools [degrees C]."""
+    return vehicle.cooling_from_c - COOLING_SLACK_K
 
 
 def pump_limits(instance: Instance, demand: Array, cop: Interval) -> tuple[Array, Array, Array]:
@@ -103,7 +109,7 @@ def temperatures(
     borders = [0, *(s.node for s in stops), drive.n_steps]
     node = Interval(box.temperature.lo.copy(), box.temperature.hi.copy())
     cell = Interval(box.stop_temperature.lo.copy(), box.stop_temperature.hi.copy())
-    floor = vehicle.cooling_from_c - COOLING_SLACK_K if vehicle.cooling_kw > 0.0 else inf
+    floor = cooling_floor_c(vehicle) if vehicle.cooling_kw > 0.0 else inf
     steps = _Steps(instance, _Colder(instance, box, power), heat, floor)
     after = Interval(box.after_temperature.lo.copy(), box.after_temperature.hi.copy())
     usable = ~box.unusable

@@ -18,7 +18,7 @@ from relax.envelopes_charge import envelope_table_over
 from relax.intervals import pick, range1, range2
 from relax.program import Term
 from relax.reach import may_fill
-from relax.reach_heat import COOLING_SLACK_K
+from relax.reach_heat import cooling_floor_c
 from relax.relaxation_model import Array, Model, middle
 
 __all__ = ["FLOOR_WIDTH_K", "LEAST_RESISTANCE_OHM", "NEAR_KW", "add_drive"]
@@ -50,7 +50,7 @@ def add_drive(model: Model) -> None:
     refused[on] = range2(pack.charge_limit_kw, pick(energy, on), pick(temp, on)).lo
     braking = (drive.base_kw < 0.0) & (box.power.lo <= 1e-6 - refused)
     braking |= may_fill(instance, box)
-    cools = box.temperature.hi[1:] >= vehicle.cooling_from_c - COOLING_SLACK_K
+    cools = box.temperature.hi[1:] >= cooling_floor_c(vehicle)
     cools &= vehicle.cooling_kw > 0.0
     heater_hi = np.maximum(vehicle.heater_kw - (q - pump.heat) / eta_c, 0.0)
     for name, exists, scale, lo, hi in (
@@ -104,7 +104,7 @@ def add_drive(model: Model) -> None:
 def _add_cooling(model: Model, cooling: npt.NDArray[np.int64], end: npt.NDArray[np.int64]) -> None:
     """Cooling ends no step below its temperature: the chord over the end temperature (R3)."""
     vehicle, lo = model.instance.vehicle, model.box.temperature.lo[1:]
-    floor = vehicle.cooling_from_c - COOLING_SLACK_K
+    floor = cooling_floor_c(vehicle)
     on = (cooling >= 0) & (lo < floor - FLOOR_WIDTH_K)
     slope = vehicle.cooling_kw / (floor - lo[on])
     model.rows.less("cooling floor", -slope * lo[on], (cooling[on], 1.0), (end[on], -slope))

@@ -21,7 +21,7 @@ from relax.envelopes_charge import (
 )
 from relax.intervals import Interval
 from relax.program import Term
-from relax.reach_heat import COOLING_SLACK_K
+from relax.reach_heat import cooling_floor_c
 from relax.relaxation_drive import LEAST_RESISTANCE_OHM
 from relax.relaxation_model import Array, Index, Model, middle, stack
 
@@ -58,7 +58,7 @@ def add_stops(model: Model) -> None:
     longest = box.stay.hi
     # crossed where a stop cannot be used: its rows say so, its variables keep a box
     some = np.maximum(y_hi, 0.0)
-    cools = box.stop_temperature.hi[:, 1:] >= vehicle.cooling_from_c - COOLING_SLACK_K
+    cools = box.stop_temperature.hi[:, 1:] >= cooling_floor_c(vehicle)
     cools &= vehicle.cooling_kw > 0.0
     maybe = box.optional[:, None]
     for name, exists, scale, lo, hi in (

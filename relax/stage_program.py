@@ -22,6 +22,7 @@ from relax.branch import Target
 from relax.certify import Infeasible, LowerBound, certify_infeasible, certify_lower_bound
 from relax.instance import Instance
 from relax.program import ConeProgram
+from relax.proof import OBJECTIVE_SIZE
 from relax.relaxation import build_relaxation
 
 __all__ = ["Penalty", "Plane", "StageProgram"]
@@ -33,8 +34,6 @@ SLOTS = 6
 """Planes that one program holds: the latest; with 3, a proof took a fifth more programs."""
 COST_SCALE = 10.0
 """Size of the costs in rows [currency]."""
-QUANTITY_SIZE = 10.0
-"""Weight of a quantity as an objective, as in ``proof``."""
 FREE = 1e5
 """Right-hand side of a budget that does not bind (scaled)."""
 ABSENT = 1e-14
@@ -263,7 +262,7 @@ class StageProgram:
         self._set_budget(budget)
         program = replace(self.cone, q=self._quantity(target, sign), constant=0.0)
         safe = certify_lower_bound(program, self._claimed(z, within=True))
-        value = safe.value / QUANTITY_SIZE if isinstance(safe, LowerBound) else -np.inf
+        value = safe.value / OBJECTIVE_SIZE if isinstance(safe, LowerBound) else -np.inf
         return float(np.nextafter(value, -np.inf))
 
     def _claimed(self, z: Array, within: bool) -> Array:
@@ -284,7 +283,7 @@ class StageProgram:
     def _quantity(self, target: Target, sign: int) -> Array:
         q = np.zeros_like(self.q)
         columns = np.atleast_1d(self.bare.variables[target.variable][target.index]).ravel()
-        q[columns] = sign * QUANTITY_SIZE * self.bare.scale[columns]
+        q[columns] = sign * OBJECTIVE_SIZE * self.bare.scale[columns]
         return q
 
     def _off(self, q: Array) -> Array:

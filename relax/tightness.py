@@ -17,7 +17,7 @@ from relax.instance import Instance
 from relax.maps import Table1, Table2
 from relax.physics import heat_pump_heat
 from relax.program import ConeProgram
-from relax.reach_heat import COOLING_SLACK_K
+from relax.reach_heat import cooling_floor_c
 
 __all__ = ["LossWorth", "TermTightness", "measure_loss_worth", "measure_tightness"]
 
@@ -115,7 +115,7 @@ class _Point:
 
     def __init__(self, instance: Instance, program: ConeProgram, x: Array) -> None:
         self.instance, self.program, self.x = instance, program, x
-        self.floor = instance.vehicle.cooling_from_c - COOLING_SLACK_K
+        self.floor = cooling_floor_c(instance.vehicle)
 
     def value(self, name: str) -> Array:
         return self.program.value(name, self.x)
