@@ -39,7 +39,8 @@ Efficiency = Annotated[float, Field(ge=0.01, le=1, allow_inf_nan=False)]
 Celsius = Annotated[float, Field(ge=-60, le=100, allow_inf_nan=False)]
 Points = Annotated[list[tuple[Finite, Finite]], Field(min_length=2)]
 Curve = Points | Finite
-Name = Annotated[str, Field(min_length=1)]
+# without control characters: names are printed, and a terminal would obey some of them
+Name = Annotated[str, Field(min_length=1, pattern=r"^[^\x00-\x1f\x7f-\x9f]*$")]
 
 
 def _say(description: str, **more: object) -> object:

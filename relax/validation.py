@@ -30,6 +30,7 @@ EXPECTED = {
     "missing": "a full pair",
     "model_type": "a table",
     "string_type": "a string",
+    "string_pattern_mismatch": "a string without control characters",
     "string_too_short": "a string that is not empty",
     "tuple_type": "a pair",
 }

@@ -63,6 +63,7 @@ CASES: list[tuple[dict[str, Any], str, str, str, str]] = [
         "'drive'",
         "another name than",
     ),
+    ({"name": "a\x1b[31m"}, "trip.toml", "name", "'a\\x1b[31m'", "without control characters"),
     # other units: J/K, t, mAh, W, mohm
     (
         {"car.heat_capacity_kwh_per_k": 375_000},
