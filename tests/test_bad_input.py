@@ -88,7 +88,7 @@ def test_error_carries_its_parts(tmp_path: Path) -> None:
         load_trip(write_trip(tmp_path, **{"car.mass_kg": -5.0}))
     error = caught.value
     assert (error.source, error.field, error.value) == (str(tmp_path / "car.toml"), "mass_kg", -5.0)
-    assert "greater than 0" in error.allowed
+    assert "greater than or equal to 100" in error.allowed
 
 
 def test_nan_anywhere_is_refused(tmp_path: Path) -> None:
