@@ -127,8 +127,8 @@ def _tell(seed: int, audit: Audit) -> None:
 def main(arguments: list[str] | None = None) -> int:
     """Run the campaign; returns the exit code: 0 nothing found, 1 a finding, 130 interrupted."""
     parser = argparse.ArgumentParser(prog="benchmarks.validity", description=__doc__)
-    parser.add_argument("--trips", type=int, default=2000, help="seeds 0 to TRIPS - 1")
-    parser.add_argument("--first", type=int, default=0, help="begin with this seed")
+    parser.add_argument("--trips", type=int, default=2000, help="how many, one per seed")
+    parser.add_argument("--first", type=int, default=0, help="the first seed")
     parser.add_argument("--seconds", type=float, default=inf, help="stop after this long")
     parser.add_argument("--resume", action="store_true", help="keep the rows already in the file")
     parser.add_argument("--seed", type=int, help="one trip only, nothing is written")
