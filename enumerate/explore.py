@@ -153,10 +153,16 @@ class Search:
         """Cost of the cheapest plan."""
         return inf if self.best is None else self.best.row.cost
 
-    def run(self, task: Callable[[Setting, Node], Node], nodes: list[Node], phase: str) -> None:
-        """Apply a task to nodes in batches; between batches the clock is looked at."""
+    def run(
+        self,
+        task: Callable[[Setting, Node], Node],
+        nodes: list[Node],
+        phase: str,
+        enough: float = -inf,
+    ) -> None:
+        """Apply a task to nodes in batches; between them clock and cost are looked at."""
         done = 0
-        while nodes and not self.interrupted:
+        while nodes and not self.interrupted and self.cost >= enough:
             batch, nodes = nodes[:BATCH], nodes[BATCH:]
             bound = partial(task, self._setting_now())
             for node in run_in_order(self.executor, bound, batch):
@@ -280,14 +286,18 @@ class Search:
         self.run(refine_splits, close if self.single else close[:FURTHER], "further starts")
 
     def _climb(self) -> None:
-        """Move to better neighbours of the best plan's stops until there is none."""
+        """Move to better neighbours of the best plan's stops until there is none.
+
+        First what is left without one of them, then whichever neighbour is the first to be
+        better: to plan all of them before each move took twice the time with five stops.
+        """
+        order = [s.charger for s in self.setting.instance(tuple(range(self.n_chargers))).stops]
         before = inf
-        while self.best is not None and self.cost < before and not self.interrupted:
+        while (plan := self.best) is not None and self.cost < before and not self.interrupted:
             before = self.cost
-            order = [s.charger for s in self.setting.instance(tuple(range(self.n_chargers))).stops]
-            self._plan_new(neighbours(self.best.row.subset, order))
+            self._thin(plan)
             if self.cost == before:
-                self._thin(self.best)
+                self._plan_new(neighbours(plan.row.subset, order), enough=before)
 
     def _thin(self, plan: Node) -> None:
         """Plan what is left of a plan's stops without each of them, from the plan itself.
@@ -295,20 +305,27 @@ class Search:
         Planned by itself such a subset may end in a local optimum that is dearer.
         """
         subset = plan.row.subset
-        left = [self.nodes.get(tuple(c for c in subset if c != out)) for out in subset]
-        nodes = [n for n in left if n is not None and n.row.subset]
+        parts = [tuple(c for c in subset if c != out) for out in subset if len(subset) > 1]
+        self._relax_new(parts)
+        nodes = [self.nodes[part] for part in parts if part in self.nodes]
         nodes = [n for n in nodes if n.row.outcome is not Outcome.INFEASIBLE]
         nodes = [n for n in nodes if n.row.lower_bound < self.cost]
         self.run(partial(refine_thinned, plan=plan), nodes, "further starts")
 
-    def _plan_new(self, subsets: Iterable[Subset]) -> None:
-        """Relax and refine subsets not met before."""
+    def _relax_new(self, subsets: Iterable[Subset]) -> None:
+        """Relax subsets not met before."""
         fresh = [s for s in dict.fromkeys(subsets) if s not in self.nodes]
         self.run(relax_node, [Node(Row(s, Outcome.UNPROVED)) for s in fresh], "relax")
-        met = [self.nodes[s] for s in fresh if s in self.nodes]
-        nodes = [n for n in met if n.row.outcome is Outcome.UNPROVED and not self._close(n)]
+
+    def _plan_new(self, subsets: Iterable[Subset], enough: float = -inf) -> None:
+        """Relax and refine subsets not planned before, until a plan costs less than enough."""
+        near = list(dict.fromkeys(subsets))
+        self._relax_new(near)
+        nodes = [self.nodes[s] for s in near if s in self.nodes]
+        nodes = [n for n in nodes if n.refined is None and n.row.outcome is Outcome.UNPROVED]
+        nodes = [n for n in nodes if not self._close(n)]
         nodes.sort(key=lambda n: n.row.lower_bound)
-        self.run(refine_node, nodes, "refine")
+        self.run(refine_node, nodes, "refine", enough)
 
     def prove(self, gap: float) -> None:
         """Cut and bound whatever could be cheaper than the driven plan by more than the gap.
