@@ -12,6 +12,10 @@ CLOSE = 0.01
 """Relative distance to the best plan within which a subset gets further starts: local
 optima of trial trips differed by up to 1 %."""
 
+OUT_OF_REACH = 0.5
+"""Share of the gap asked for that must be left on the transcription. Of the 1 % asked for on
+``random/05`` 0.03 % is: after 7,200 programs the bound was 0.5 % below the transcribed cost."""
+
 
 def relative_gap(cost: float, lower_bound: float) -> float:
     """Return (cost - bound) / max(abs(cost), 1), not below 0; ``inf`` without plan or bound.
@@ -77,16 +81,19 @@ def is_proved(cost: float, transcribed: float, lower_bound: float, gap: float) -
 def closing_cost(cost: float, gap: float, transcribed: float = inf) -> float:
     """Return the cost from which on a bound closes a subset: cost less the relative gap.
 
-    Nothing closes without a plan. Bounds are of the transcription. Where its cost is so far
-    below the driven one that no bound can come within the gap, half the gap to the transcribed
-    cost has to do: a finer grid would help, more proof would not.
+    Nothing closes without a plan. Bounds are of the transcription. Where the drive costs so much
+    more that no bound, or hardly one, comes within the gap, what is within the gap of the
+    transcribed cost is closed: a finer grid would help, more proof would not.
 
     Examples
     --------
     >>> closing_cost(200.0, 0.01), closing_cost(200.0, 0.01, transcribed=190.0)
-    (198.0, 189.05)
+    (198.0, 188.1)
     """
     if cost == inf:
         return inf
-    reachable = transcribed - 0.5 * gap * max(abs(transcribed), 1.0) if transcribed < inf else inf
-    return min(cost - gap * max(abs(cost), 1.0), reachable)
+    driven = cost - gap * max(abs(cost), 1.0)
+    if transcribed == inf:
+        return driven
+    share = gap * max(abs(transcribed), 1.0)
+    return driven if driven <= transcribed - OUT_OF_REACH * share else transcribed - share

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from enumerate.gap import is_proved
 from enumerate.result import Result, Status
 from enumerate.show_choices import format_choices, format_unused
 from enumerate.table import MISSING, clock, minutes, number, paragraph, percent, table, unbroken
@@ -99,14 +100,14 @@ def _status(result: Result) -> str:
         Status.INFEASIBLE: "infeasible: for each choice of stops it is proved that no plan exists",
         Status.UNKNOWN: "unknown: no plan was found, and none is ruled out",
     }[result.status]
-    apart = 0.0 if result.plan is None else abs(result.plan.deviation.cost)
-    enough = result.optimal_gap
-    if result.status is Status.FEASIBLE and enough < apart and result.gap < enough + apart:
+    least = min(result.cost, result.transcribed_cost)
+    complete = is_proved(least, least, result.lower_bound, result.optimal_gap)
+    if result.status is Status.FEASIBLE and result.plan is not None and complete:
+        apart = percent(abs(result.plan.deviation.cost), 2)
         text = (
-            "feasible: the plan keeps every limit when driven on the continuous model; what is "
-            f"proved on the grid says nothing finer than the {percent(apart, 2)} % by which drive "
-            "and grid differ: a finer grid brings them together (--set grid.cells=..., "
-            "--set grid.step_km=...)"
+            "feasible: the plan keeps every limit when driven on the continuous model; the proof "
+            f"on the grid is complete, but drive and grid differ by {apart} %: a finer grid "
+            "brings them together (--set grid.cells=..., --set grid.step_km=...)"
         )
     if result.interrupted:
         text += f" ({result.interrupted}: this is what was known by then)"

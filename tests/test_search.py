@@ -13,6 +13,7 @@ from math import inf
 import pytest
 from trips import small_trip
 
+from benchmarks.cases import select
 from enumerate import Outcome, Progress, Result, Status, plan
 from enumerate.ledger import Row
 from enumerate.show import format_result
@@ -20,7 +21,7 @@ from enumerate.tasks import Node, Setting, refine_node, relax_node
 from relax import load_trip, make_drive, make_instance, refine
 from relax.refinement import RefineSettings
 from relax.starts import even_start
-from relax.trip import Trip
+from relax.trip import Grid, Trip
 
 PAPER = load_trip("paper-400km", {"route.ambient_c": 10.0})
 
@@ -102,6 +103,18 @@ def test_a_gap_below_the_error_of_the_grid_is_not_called_proved() -> None:
     assert "finer grid" in " ".join(format_result(result).split())
     fine = load_trip(name)
     assert plan(replace(fine, chargers=fine.chargers[chosen]), gap=0.003).status is Status.OPTIMAL
+
+
+def test_a_gap_that_the_grid_puts_out_of_reach_is_not_chased() -> None:
+    """The drive costs 1.01 % more than the grid says: no bound comes within 1 % of it."""
+    (case,) = select(["random/05"])
+    result = plan(case.load(), gap=0.01, time_limit_s=60.0)
+    assert result.status is Status.FEASIBLE and not result.interrupted
+    assert result.cost > 1.01 * result.transcribed_cost
+    assert result.lower_bound >= (1.0 - 0.0100001) * result.transcribed_cost
+    assert "finer grid" in " ".join(format_result(result).split())
+    fine = plan(case.load(), gap=0.01, time_limit_s=60.0, grid=Grid(2.0, 12))
+    assert fine.status is Status.OPTIMAL
 
 
 def test_with_a_gap_asked_for_the_search_goes_on_without_a_plan(
