@@ -82,6 +82,9 @@ SAME = 1e-4
 """Relative rise of a plan's cost by repairs that reopens what was closed against it."""
 OPENING = 12
 """Leaves looked at before the first plan, when there are many chargers."""
+RIVALS = 3
+"""Plans driven after one that holds, as long as the grid says that they cost less than it does on
+the road: two stops from Goteborg to Stockholm cost 0.04 % less than one, and 1.8 % more there."""
 RESCUED = 3
 """Subsets that are planned from further starts when no plan holds."""
 MAX_OPENING = 400
@@ -139,7 +142,7 @@ class Search:
             self.account.plant(make_roots(self.n_chargers))
         self.execution: Execution | None = None
         self.driven: Node | None = None
-        self.tried: Refined | None = None
+        self.on_road: dict[Subset, Refined] = {}  # the last plan driven of each
         self.interrupted = ""
 
     @property
@@ -348,7 +351,7 @@ class Search:
             if not examined:
                 return
             self._plan_leaves([e for e in examined if not e.leaf.undecided and not e.closed])
-            if self.best is not None and self.best.refined is not self.tried:
+            if self.best is not None and self._is_new(self.best):
                 self.drive()
 
     def _cutoff(self, gap: float) -> float:
@@ -373,7 +376,7 @@ class Search:
                 if paths % PATHS_EVERY == 1 and subset not in tried and len(tried) < MOST_PATHS:
                     tried.add(subset)
                     self._plan_new([subset])
-                    if self.best is not None and self.best.refined is not self.tried:
+                    if self.best is not None and self._is_new(self.best):
                         self.drive()
                     if self._cutoff(gap) < graph.closing:
                         graph.apply(StageStep("closing", value=self._cutoff(gap)))
@@ -443,36 +446,48 @@ class Search:
     def drive(self) -> None:
         """Drive plans on the continuous model, cheapest first, until one holds.
 
-        A plan driven before is kept if the new one turns out no cheaper on the road.
+        Then the few that its cost on the road, if that is above its cost on the grid, leaves in
+        doubt. The cheapest on the road is kept.
         """
-        while (best := self.best) is not None:
-            assert best.refined is not None
-            subset, self.tried = best.row.subset, best.refined
-            instance = self.setting.instance(subset)
+        holding = 0
+        while (node := self._next_to_drive()) is not None and holding <= RIVALS:
+            subset = node.row.subset
             # a plan is there: its repairs are worth more than the moment
             settings = replace(self.setting.refine, deadline=inf)
-            done = execute(self.setting.trip, instance, best.refined, settings)
+            assert node.refined is not None
+            done = execute(self.setting.trip, self.setting.instance(subset), node.refined, settings)
+            self.on_road[subset] = node.refined
+            row = replace(node.row, cost=done.trajectory.cost)
             if done.reason:
-                row = replace(
-                    best.row,
-                    outcome=Outcome.UNPROVED,
-                    cost=inf,
-                    reason=f"plan refused in replay: {done.reason}",
-                )
-                self.nodes[subset] = replace(best, row=row)
+                reason = f"plan refused in replay: {done.reason}"
+                row = replace(row, outcome=Outcome.UNPROVED, cost=inf, reason=reason)
+            else:
+                assert done.replay is not None  # plans that do not hold are refused
+                holding += 1
+                if done.replay.cost < self.road_cost:
+                    self.execution, self.driven = done, node
+            if row.cost > node.row.cost + SAME * abs(node.row.cost):
+                # refused or repaired: others were closed against a cost that does not hold
+                self.nodes[subset] = replace(node, row=row)
                 self._reopen()
-                continue
-            assert done.replay is not None  # plans that do not hold are refused
-            before = self.execution.replay if self.execution is not None else None
-            if before is None or done.replay.cost < before.cost:
-                self.execution, self.driven = done, best
-            if done.trajectory.cost <= best.row.cost + SAME * abs(best.row.cost):
-                return
-            # repaired: others were closed against a cost that does not hold
-            self.nodes[subset] = replace(best, row=replace(best.row, cost=done.trajectory.cost))
-            self._reopen()
-            if self.best is None or self.best.row.subset == subset:
-                return
+
+    @property
+    def road_cost(self) -> float:
+        """Cost of the driven plan."""
+        done = self.execution
+        return inf if done is None or done.replay is None else done.replay.cost
+
+    def _is_new(self, node: Node) -> bool:
+        """Whether the plan of a node has not been driven."""
+        return node.refined is not self.on_road.get(node.row.subset)
+
+    def _next_to_drive(self) -> Node | None:
+        """Return the cheapest plan not driven, if it is the best or may be on the road."""
+        planned = [n for n in self.nodes.values() if n.row.outcome is Outcome.PLANNED]
+        node = min(filter(self._is_new, planned), key=lambda n: n.row.cost, default=None)
+        if node is None or node is self.best or node.row.cost < self.road_cost:
+            return node
+        return None
 
     def drive_or_rescue(self) -> None:
         """Drive plans until one holds; if none does, plan the most promising subsets again."""
