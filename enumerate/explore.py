@@ -20,7 +20,7 @@ from math import inf
 
 from enumerate.account import Account
 from enumerate.gap import closing_cost, is_close, is_closed
-from enumerate.ledger import Outcome, Row
+from enumerate.ledger import REFUSED, Outcome, Row
 from enumerate.pool import run_in_order
 from enumerate.stage_graph import StageGraph
 from enumerate.stage_parts import StageStep
@@ -459,7 +459,7 @@ class Search:
             self.on_road[subset] = node.refined
             row = replace(node.row, cost=done.trajectory.cost)
             if done.reason:
-                reason = f"plan refused in replay: {done.reason}"
+                reason = f"{REFUSED}: {done.reason}"
                 row = replace(row, outcome=Outcome.UNPROVED, cost=inf, reason=reason)
             else:
                 assert done.replay is not None  # plans that do not hold are refused

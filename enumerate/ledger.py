@@ -13,7 +13,10 @@ from math import comb, inf
 from enumerate.subset import Subset
 from enumerate.table import counted
 
-__all__ = ["Ledger", "Outcome", "Row"]
+__all__ = ["REFUSED", "Ledger", "Outcome", "Row"]
+
+REFUSED = "plan refused in replay"
+"""How the reason of a row begins whose plan did not hold when it was driven."""
 
 
 class Outcome(Enum):

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from enumerate.gap import is_proved
+from enumerate.ledger import REFUSED
 from enumerate.result import Result, Status
 from enumerate.show_choices import format_choices, format_unused
 from enumerate.table import MISSING, clock, minutes, number, paragraph, percent, table, unbroken
@@ -100,6 +101,13 @@ def _status(result: Result) -> str:
         Status.INFEASIBLE: "infeasible: for each choice of stops it is proved that no plan exists",
         Status.UNKNOWN: "unknown: no plan was found, and none is ruled out",
     }[result.status]
+    refused = any(row.reason.startswith(REFUSED) for row in result.ledger.rows)
+    if result.status is Status.UNKNOWN and refused:
+        text = (
+            "unknown: of the plans found none keeps every limit when driven on the continuous "
+            "model, and none is ruled out; a finer grid may give one (--set grid.cells=..., "
+            "--set grid.step_km=...)"
+        )
     least = min(result.cost, result.transcribed_cost)
     complete = is_proved(least, least, result.lower_bound, result.optimal_gap)
     if result.status is Status.FEASIBLE and result.plan is not None and complete:

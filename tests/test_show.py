@@ -22,6 +22,7 @@ from enumerate import (
     plan,
 )
 from enumerate.audit import Audit
+from enumerate.ledger import REFUSED
 from enumerate.show_choices import _name, format_choices
 from enumerate.show_front import format_front
 from enumerate.table import NO_BREAK, WIDTH, counted, paragraph, printable, table, unbroken
@@ -449,6 +450,10 @@ def test_unknown_does_not_claim_anything() -> None:
     assert "time limit reached" in text and "none is ruled out" in text
     assert "bound   none is known." in text
     assert line(text, "A ").split()[1:3] == ["-", "-"]
+    assert "finer grid" not in text
+    refused = (rows[0], dataclasses.replace(rows[1], reason=f"{REFUSED}: too hot by 1 K"))
+    text = format_result(without_plan(Status.UNKNOWN, refused))
+    assert "none is ruled out; a finer grid may give one" in " ".join(text.split())
 
 
 def test_a_long_word_column_wraps_and_keeps_its_place() -> None:
