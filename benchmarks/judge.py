@@ -113,7 +113,7 @@ def judge(
             if driven.feasible:
                 return _verdict(trip, "holds", "", transcribed, driven)
         # the drive decides, not the grid: so the plan is taken for feasible on the grid
-        done = execute(trip, instance, Refined(controls, trajectory, True, 0, 0.0))
+        done = execute(trip, instance, Refined(controls, trajectory, True, 0))
     except EvrelaxError as error:
         return Verdict("fails", str(error))
     if done.reason or done.replay is None:

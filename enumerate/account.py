@@ -33,7 +33,6 @@ class _Family:
     bounds: list[float] = field(default_factory=list)  # of leaves that are not looked at again
     infeasible: bool = True
     programs: int = 0
-    seconds: float = 0.0
 
 
 class Account:
@@ -151,7 +150,6 @@ class Account:
         self.programs += done.programs
         family = self._families.setdefault(_key(leaf), _Family())
         family.programs += done.programs
-        family.seconds += done.seconds
         first = self._number
         for part in done.parts:
             self._push(replace(part, parent=leaf.number))
@@ -208,7 +206,7 @@ class Account:
                 outcome, reason = Outcome.BOUNDED, "no plan below the best one less the gap"
             found.append(
                 Row(
-                    key[0], outcome, inf, bound, reason, family.programs, family.seconds, key[1],
+                    key[0], outcome, inf, bound, reason, family.programs, key[1],
                     key[2] if key[1] else None,
                 )
             )  # fmt: skip
@@ -251,7 +249,6 @@ def _joined(row: Row, family: Row) -> Row:
         row,
         lower_bound=bound,
         programs=row.programs + (family.programs if own else 0),
-        seconds=row.seconds + (family.seconds if own else 0.0),
     )
     if row.outcome is Outcome.UNPROVED and family.outcome is not Outcome.UNPROVED:
         return replace(row, outcome=family.outcome, reason=family.reason)

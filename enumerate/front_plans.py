@@ -144,7 +144,7 @@ def _timed(instance: Instance, budget_h: float, found: Refined) -> list[Timed]:
 def _seen(instance: Instance, controls: Controls) -> Refined:
     """Return controls as a plan of another instance of the same choice."""
     trajectory = simulate(instance, controls)
-    return Refined(controls, trajectory, is_feasible(trajectory), 0, 0.0)
+    return Refined(controls, trajectory, is_feasible(trajectory), 0)
 
 
 def _bound(relaxed: RelaxedSubset) -> float:

@@ -47,8 +47,6 @@ class Row:
         Why, for people.
     programs : int
         Programs solved for it.
-    seconds : float
-        Time spent on it [s].
     undecided : tuple of int
         Chargers that may be used besides: then the row speaks of all these subsets.
     count : tuple of int or None
@@ -63,7 +61,6 @@ class Row:
     lower_bound: float = -inf
     reason: str = ""
     programs: int = 0
-    seconds: float = 0.0
     undecided: Subset = ()
     count: tuple[int, int] | None = None
     without: tuple[Subset, ...] = ()

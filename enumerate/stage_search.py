@@ -136,7 +136,7 @@ class StageSearch:
     def __init__(self, graph: StageGraph, deadline: float = inf) -> None:
         self.graph, self.deadline = graph, deadline
         self.penalty = make_penalty(graph.instance)
-        self.programs, self.solve_s = 0, 0.0
+        self.programs = 0
         self.path: tuple[int, ...] = ()
         """Stops of the last path."""
         self._known: dict[int, _Known] = {}
@@ -303,7 +303,7 @@ class StageSearch:
                 self._solvers.popitem(last=False)
         self._solvers.move_to_end(arc.number)
         found = solve_objective(kept[1], q, changed=True)
-        self.programs, self.solve_s = self.programs + 1, self.solve_s + found.solve_s
+        self.programs += 1
         return found
 
     def _solve_from(self, arc: Arc, state: State) -> None:

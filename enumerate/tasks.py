@@ -109,20 +109,17 @@ class Node:
 def relax_node(setting: Setting, node: Node) -> Node:
     """Bound a subset by its relaxation, or prove it infeasible."""
     subset = node.row.subset
-    begin = time.perf_counter()
     relaxed = relax_subset(setting.instance(subset))
-    seconds = time.perf_counter() - begin
     programs = int(relaxed.solve_s > 0.0)
     if relaxed.infeasible:
         reason = "the relaxation has no point" if programs else "out of reach by interval bounds"
-        row = Row(subset, Outcome.INFEASIBLE, inf, inf, reason, programs, seconds)
+        row = Row(subset, Outcome.INFEASIBLE, inf, inf, reason, programs)
         return Node(row, steps=relaxed.steps)
     row = Row(
         subset,
         Outcome.UNPROVED,
         lower_bound=-inf if relaxed.lower_bound is None else relaxed.lower_bound,
         programs=programs,
-        seconds=seconds,
     )
     return Node(row, relaxed.point, steps=relaxed.steps, optimum=relaxed.optimum)
 
@@ -132,7 +129,6 @@ def refine_node(setting: Setting, node: Node, starts: list[Controls] | None = No
 
     Unless it was refused when it was driven: then any plan that differs is better.
     """
-    begin = time.perf_counter()
     instance = setting.instance(node.row.subset)
     first = starts is None
     simulation = Simulation(instance)
@@ -157,7 +153,6 @@ def refine_node(setting: Setting, node: Node, starts: list[Controls] | None = No
         outcome=Outcome.PLANNED if best.feasible else Outcome.UNPROVED,
         reason="" if best.feasible else reason,
         programs=node.row.programs + sum(r.programs for r in found),
-        seconds=node.row.seconds + time.perf_counter() - begin,
     )
     return replace(node, row=row, refined=best)
 
@@ -191,7 +186,6 @@ def refine_thinned(setting: Setting, node: Node, plan: Node) -> Node:
 
 def rescue_node(setting: Setting, node: Node, deadline: float = inf) -> Node:
     """Plan a subset from further starts, until one gives a plan that holds when it is driven."""
-    begin = time.perf_counter()
     instance = setting.instance(node.row.subset)
     programs, row = 0, node.row
     # where the first plan broke a limit on the grid, the even start has been tried already
@@ -205,9 +199,7 @@ def rescue_node(setting: Setting, node: Node, deadline: float = inf) -> Node:
             row = replace(row, cost=refined.trajectory.cost, outcome=Outcome.PLANNED, reason="")
             node = replace(node, refined=refined)
             break
-    seconds = row.seconds + time.perf_counter() - begin
-    row = replace(row, programs=row.programs + programs, seconds=seconds)
-    return replace(node, row=row)
+    return replace(node, row=replace(row, programs=row.programs + programs))
 
 
 def refine_point(setting: Setting, node: Node) -> Node:

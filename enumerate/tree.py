@@ -111,8 +111,6 @@ class Examined:
         Relaxed optimum of a fixed subset.
     programs : int
         Cone programs solved.
-    solve_s, seconds : float
-        Time inside the solver and in all [s].
     """
 
     leaf: Leaf
@@ -125,8 +123,6 @@ class Examined:
     used: Subset
     point: RelaxedPoint | None
     programs: int
-    solve_s: float
-    seconds: float
 
 
 def make_roots(n_chargers: int) -> tuple[Leaf, ...]:
@@ -194,8 +190,6 @@ def examine(
         used=_likely(instance, done.box, done.used),
         point=done.point,
         programs=done.programs,
-        solve_s=done.solve_s,
-        seconds=done.solve_s + done.build_s,
     )
 
 
@@ -246,8 +240,6 @@ def cut_unbounded(
         used=(),
         point=None,
         programs=0,
-        solve_s=0.0,
-        seconds=0.0,
     )
 
 

@@ -6,7 +6,6 @@ start a refinement. Knows nothing of rows, cones and of other subsets.
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass
 
 import numpy as np
@@ -43,8 +42,8 @@ class RelaxedSubset:
         Proved that no control is feasible.
     steps : tuple of Step
         The proof: at most one dual vector.
-    build_s, solve_s : float
-        Time for box, rows and certificate, and for the solver [s].
+    solve_s : float
+        Time inside the solver; 0 if the box alone was enough [s].
     optimum : Optimum or None
         The solver's answer where it is usable, for ``tighten``.
     """
@@ -54,7 +53,6 @@ class RelaxedSubset:
     point: RelaxedPoint | None
     infeasible: bool
     steps: tuple[Step, ...]
-    build_s: float
     solve_s: float
     optimum: Optimum | None = None
 
@@ -87,15 +85,11 @@ def relax_subset(
     >>> relax_subset(make_instance(trip, (1,))).lower_bound > 0.0
     True
     """
-    begin = time.perf_counter()
     box = make_box(instance) if box is None else box
     if box.empty:
-        seconds = time.perf_counter() - begin
-        return RelaxedSubset(SolveStatus.INFEASIBLE, None, None, True, (), seconds, 0.0)
+        return RelaxedSubset(SolveStatus.INFEASIBLE, None, None, True, (), 0.0)
     program = build_relaxation(instance, box, lean=True)
-    build_s = time.perf_counter() - begin
     solution = solve_cone(program, settings or ROOT_SETTINGS)
-    begin = time.perf_counter()
     bound = certify_lower_bound(program, solution.z)
     infeasible = solution.status is SolveStatus.INFEASIBLE and isinstance(
         certify_infeasible(program, solution.z), Infeasible
@@ -108,7 +102,6 @@ def relax_subset(
         point=unpack_point(program, solution.x) if usable else None,
         infeasible=infeasible,
         steps=(Step("relax", solution.z, solution.status is SolveStatus.INFEASIBLE),),
-        build_s=build_s + time.perf_counter() - begin,
         solve_s=solution.solve_s,
         optimum=Optimum(box, program, solution.x, solution.z) if usable else None,
     )

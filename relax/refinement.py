@@ -110,15 +110,12 @@ class Refined:
         No limit violated by more than rounding.
     programs : int
         Quadratic programs solved.
-    solve_s : float
-        Time inside the solver [s].
     """
 
     controls: Controls
     trajectory: Trajectory
     feasible: bool
     programs: int
-    solve_s: float
 
 
 def penalty_prices(instance: Instance) -> Array:
@@ -327,12 +324,11 @@ def refine(
         found = replace(
             again,
             programs=found.programs + again.programs,
-            solve_s=found.solve_s + again.solve_s,
         )
     if found.feasible:
         return found
     nearest = min(first, found, key=lambda r: float(r.trajectory.violation.max()))
-    return replace(nearest, programs=found.programs, solve_s=found.solve_s)
+    return replace(nearest, programs=found.programs)
 
 
 def _descend(
@@ -354,10 +350,10 @@ def _descend(
     trust = TrustRegion()
     multipliers: Array | None = None
     penalty = weight * penalty_prices(instance)
-    programs, seconds = 0, 0.0
+    programs = 0
 
     def solve(program: StepProgram) -> QpSolution:
-        nonlocal programs, seconds
+        nonlocal programs
         solution = solve_qp(
             program.P,
             program.q,
@@ -368,7 +364,6 @@ def _descend(
             tolerance=settings.solver_tolerance,
         )
         programs += 1
-        seconds += solution.solve_s
         return solution
 
     restarts = MAX_RESTARTS
@@ -378,11 +373,11 @@ def _descend(
         accepted = False
         while programs < settings.max_programs and trust.temperature_k > LEAST_TRUST_K:
             if settings.late:
-                return Refined(controls, now, is_feasible(now), programs, seconds)
+                return Refined(controls, now, is_feasible(now), programs)
             program = step.build(now, drive, cells, multipliers, penalty, trust)
             solution = solve(program)
             if solution.status not in USABLE:
-                return Refined(controls, now, is_feasible(now), programs, seconds)
+                return Refined(controls, now, is_feasible(now), programs)
             x = solution.x
             model = now.cost - _occupancy(instance, now) + program.change(x)
             predicted = value - model
@@ -390,9 +385,9 @@ def _descend(
             size = merit(instance, now)  # its usual penalty: a dearer one would loosen tolerances
             least = settings.tolerance * max(abs(size), 1.0)
             if value - HOPE * predicted > settings.hopeless and predicted < LOSING * size:
-                return Refined(controls, now, is_feasible(now), programs, seconds)
+                return Refined(controls, now, is_feasible(now), programs)
             if predicted <= (1e-3 * least if near else least):
-                return Refined(controls, now, is_feasible(now), programs, seconds)
+                return Refined(controls, now, is_feasible(now), programs)
             tight = _tight_arrivals(step, program, x)
             trial, then = complete(simulation, _next_controls(step, program, x, now, 1.0), tight)
             gained = value - value_of(then)
@@ -440,7 +435,7 @@ def _descend(
         watch = step.watch.extended(instance, now)
         if watch != step.watch:
             step, multipliers = QuadraticStep(instance, watch), None
-    return Refined(controls, now, is_feasible(now), programs, seconds)
+    return Refined(controls, now, is_feasible(now), programs)
 
 
 def _is_near(now: Trajectory, known: Trajectory) -> bool:

@@ -88,8 +88,6 @@ class Tightened:
         The proof.
     programs : int
         Cone programs solved.
-    solve_s, build_s : float
-        Time inside the solver, and for boxes, rows and certificates [s].
     """
 
     closed: bool
@@ -101,8 +99,6 @@ class Tightened:
     used: Array
     steps: tuple[Step, ...]
     programs: int
-    solve_s: float
-    build_s: float
 
 
 class _Work:
@@ -110,7 +106,7 @@ class _Work:
 
     def __init__(self, proof: BoxProof, deadline: float) -> None:
         self.proof, self.deadline = proof, deadline
-        self.programs, self.solve_s = 0, 0.0
+        self.programs = 0
         self.x: Array = np.zeros(0)
         self._solver: ConeSolver | None = None
 
@@ -122,7 +118,7 @@ class _Work:
         """Bound the cost on the box."""
         program = self.proof.build()
         found = solve_cone(program, SETTINGS)
-        self.programs, self.solve_s = self.programs + 1, self.solve_s + found.solve_s
+        self.programs += 1
         self.x, self._solver = found.x, None
         ray = found.status is SolveStatus.INFEASIBLE
         self.proof.apply(Step("relax", found.z, ray), program)
@@ -146,7 +142,7 @@ class _Work:
             program = proof.objective(target, sign)
             self._solver = self._solver or ConeSolver(program, SETTINGS)
             found = solve_objective(self._solver, program.q)
-            self.programs, self.solve_s = self.programs + 1, self.solve_s + found.solve_s
+            self.programs += 1
             ray = found.status is SolveStatus.INFEASIBLE
             proof.apply(Step("shrink", found.z, ray, target, sign), program)
 
@@ -312,7 +308,6 @@ def tighten(
     >>> done.closed, done.bound >= 100.0
     (True, True)
     """
-    begin = time.perf_counter()
     proof = BoxProof(instance, box, cutoff, bound)
     work = _Work(proof, deadline)
     closed, how = False, None
@@ -344,8 +339,6 @@ def tighten(
         used=used,
         steps=tuple(proof.steps),
         programs=work.programs,
-        solve_s=work.solve_s,
-        build_s=time.perf_counter() - begin - work.solve_s,
     )
 
 
@@ -401,16 +394,12 @@ class Proof:
         Boxes looked at.
     programs : int
         Cone programs solved.
-    solve_s, build_s : float
-        Time inside the solver, and for boxes, rows and certificates [s].
     """
 
     closed: bool
     lower_bound: float
     boxes: int
     programs: int
-    solve_s: float
-    build_s: float
 
 
 def prove(
@@ -455,18 +444,17 @@ def prove(
     """
     if instance.optional.any():
         raise ValueError("prove needs a fixed subset; tighten takes optional stops")
-    begin = time.perf_counter()
     ticket = count()
     queue: list[tuple[float, int, Box]] = [(bound, next(ticket), make_box(instance))]
     kept = np.inf
-    boxes, programs, solve_s = 0, 0, 0.0
+    boxes, programs = 0, 0
     while queue and boxes < max_boxes and time.perf_counter() < deadline:
         known, _, box = heapq.heappop(queue)
         done = tighten(
             instance, box, cutoff, bound=known, fresh=not boxes, whole=not boxes, deadline=deadline
         )
         boxes += 1
-        programs, solve_s = programs + done.programs, solve_s + done.solve_s
+        programs += done.programs
         if done.closed:
             continue
         if done.how is None:
@@ -480,6 +468,4 @@ def prove(
         lower_bound=max(lowest, bound),
         boxes=boxes,
         programs=programs,
-        solve_s=solve_s,
-        build_s=time.perf_counter() - begin - solve_s,
     )

@@ -201,7 +201,7 @@ def test_a_car_that_runs_empty_is_refused_with_the_reason() -> None:
     trip = small_trip(start_soc=0.1)
     instance = make_instance(trip, ())
     controls = idle_controls(instance, ())
-    liar = Refined(controls, simulate(instance, controls), True, 0, 0.0)
+    liar = Refined(controls, simulate(instance, controls), True, 0)
     done = execute(trip, instance, liar)
     assert done.replay is None
     assert "cannot drive it" in done.reason
@@ -215,7 +215,7 @@ def test_a_limit_that_no_repair_meets_is_refused_with_its_name() -> None:
     controls = idle_controls(instance, (8.0,))
     trajectory = simulate(instance, controls)
     assert not is_feasible(trajectory)
-    done = execute(trip, instance, Refined(controls, trajectory, True, 0, 0.0))
+    done = execute(trip, instance, Refined(controls, trajectory, True, 0))
     assert done.reason != ""
     assert "discharge limit" in done.reason or "on the grid" in done.reason
 
@@ -251,7 +251,7 @@ def test_a_reason_is_empty_exactly_if_the_replay_is_feasible(ambient: float, top
         controls = replace(
             idle_controls(instance, (float(rng.uniform(4.0, 12.0)),)), heater_kw=heat
         )
-        done = execute(trip, instance, Refined(controls, simulate(instance, controls), True, 0, 0))
+        done = execute(trip, instance, Refined(controls, simulate(instance, controls), True, 0))
         held = done.replay is not None and done.replay.feasible
         assert (done.reason == "") == held
         if done.reason == "":
@@ -270,7 +270,7 @@ def test_a_heater_left_on_stops_at_the_limit_and_the_plan_holds(
     t = simulate(instance, controls)
     assert is_feasible(t)
     assert (t.heater_kw < heat - 0.1).sum() > 3
-    done = execute(trip, instance, Refined(controls, t, True, 0, 0.0))
+    done = execute(trip, instance, Refined(controls, t, True, 0))
     assert done.reason == ""
     assert_holds(trip, instance, done)
 

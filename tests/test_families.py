@@ -360,7 +360,7 @@ def test_a_part_without_members_says_nothing_of_the_subset_it_is_left_with() -> 
     """Two chargers used, none undecided, three stops asked for: not the subset of those two."""
     account = Account(3, keep_proofs=False)
     leaf = Leaf((0, 1), (), 10.0, None, (3, 3), number=7)
-    done = Examined(leaf, inf, True, True, None, (), (), (), None, 0, 0.0, 0.0)
+    done = Examined(leaf, inf, True, True, None, (), (), (), None, 0)
     account.enter(done, cutoff=100.0)
     assert account.rows({}, cutoff=100.0) == []
     known = Row((0, 1), Outcome.PLANNED, 50.0, 40.0)

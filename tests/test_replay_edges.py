@@ -211,7 +211,7 @@ def test_a_car_far_beyond_the_edge_is_refused_with_place_and_limit() -> None:
     trip = small_trip(start_soc=0.1)
     instance = make_instance(trip, ())
     controls = idle_controls(instance, ())
-    done = execute(trip, instance, Refined(controls, simulate(instance, controls), True, 0, 0.0))
+    done = execute(trip, instance, Refined(controls, simulate(instance, controls), True, 0))
     assert done.replay is None
     place = r"at (\d+\.\d) km"
     words = rf"the car cannot drive it: {place}: .* is outside the table .*; energy below the least"

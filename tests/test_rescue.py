@@ -64,7 +64,7 @@ def test_a_plan_that_holds_is_never_given_up_for_a_cheaper_one_that_does_not() -
     good = refine(instance, even_start(instance))
     missed = np.array([0.0, 1e-4, 0.0, 0.0])
     cheaper = replace(good.trajectory, cost=good.trajectory.cost - 1.0, violation=missed)
-    bad = Refined(good.controls, cheaper, is_feasible(cheaper), 0, 0.0)
+    bad = Refined(good.controls, cheaper, is_feasible(cheaper), 0)
     assert not bad.feasible
     assert best_of([bad, good], instance) is good
     assert best_of([bad], instance) is bad

@@ -313,7 +313,7 @@ def _judged(driver: _Driver, subset: tuple[int, ...]) -> DriverTrip:
         units = zip(trajectory.violation.tolist(), ("kWh", "K", "kW", "h"), strict=True)
         broken = ", ".join(f"{amount:.3g} {unit}" for amount, unit in units if amount > FEASIBLE)
         return replace(refused, reason=f"breaks limits by {broken}")
-    done = execute(driver.trip, instance, Refined(controls, trajectory, True, 0, 0.0))
+    done = execute(driver.trip, instance, Refined(controls, trajectory, True, 0))
     if done.reason:
         return replace(refused, replay=done.replay, reason=done.reason)
     if done.replay is None or done.trajectory is not trajectory:

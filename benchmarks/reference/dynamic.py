@@ -198,7 +198,7 @@ def _judged(trip: Trip, claim: Dynamic, plan: Forward, begin: float) -> Dynamic:
     feasible = is_feasible(trajectory)
     replayed_cost = nan
     if feasible:
-        done = execute(trip, instance, Refined(controls, trajectory, feasible, 0, 0.0))
+        done = execute(trip, instance, Refined(controls, trajectory, feasible, 0))
         # a repaired plan is no longer the one that was found here
         own = done.trajectory is trajectory
         if own and not done.reason and done.replay is not None:
