@@ -83,7 +83,7 @@ SAME = 1e-4
 OPENING = 12
 """Leaves looked at before the first plan, when there are many chargers."""
 RIVALS = 3
-"""Plans driven after one that holds, as long as the grid says that they cost less than it does on
+"""Further plans driven after one that holds, as long as they cost less on the grid than it does on
 the road: two stops from Goteborg to Stockholm cost 0.04 % less than one, and 1.8 % more there."""
 RESCUED = 3
 """Subsets that are planned from further starts when no plan holds."""
@@ -163,7 +163,7 @@ class Search:
         phase: str,
         enough: float = -inf,
     ) -> None:
-        """Apply a task to nodes in batches; between them clock and cost are looked at."""
+        """Apply a task to nodes in batches, until time is up or a plan costs less than enough."""
         done = 0
         while nodes and not self.interrupted and self.cost >= enough:
             batch, nodes = nodes[:BATCH], nodes[BATCH:]
@@ -355,10 +355,13 @@ class Search:
                 self.drive()
 
     def _cutoff(self, gap: float) -> float:
-        """Return the cost from which on a bound closes, for the driven plan."""
+        """Return the cost from which on a bound closes, for the driven plan.
+
+        No bound exceeds what any plan costs on the grid.
+        """
         done = self.execution
         assert done is not None and done.replay is not None  # plans that do not hold are refused
-        return closing_cost(done.replay.cost, gap, done.trajectory.cost)
+        return closing_cost(done.replay.cost, gap, min(done.trajectory.cost, self.cost))
 
     def _prove_by_stages(self, gap: float) -> None:
         """Bound all plans at once, stage by stage; plan what the cheapest paths use."""
@@ -446,14 +449,16 @@ class Search:
     def drive(self) -> None:
         """Drive plans on the continuous model, cheapest first, until one holds.
 
-        Then the few that its cost on the road, if that is above its cost on the grid, leaves in
+        Then a few that its cost on the road, if that is above its cost on the grid, leaves in
         doubt. The cheapest on the road is kept.
         """
-        holding = 0
-        while (node := self._next_to_drive()) is not None and holding <= RIVALS:
+        rivals = 0
+        while (node := self._next_to_drive()) is not None and rivals <= RIVALS:
+            rivals += self.execution is not None
+            settings = self.setting.refine
+            if node is self.best:  # its repairs are worth more than the moment
+                settings = replace(settings, deadline=inf)
             subset = node.row.subset
-            # a plan is there: its repairs are worth more than the moment
-            settings = replace(self.setting.refine, deadline=inf)
             assert node.refined is not None
             done = execute(self.setting.trip, self.setting.instance(subset), node.refined, settings)
             self.on_road[subset] = node.refined
@@ -461,11 +466,8 @@ class Search:
             if done.reason:
                 reason = f"{REFUSED}: {done.reason}"
                 row = replace(row, outcome=Outcome.UNPROVED, cost=inf, reason=reason)
-            else:
-                assert done.replay is not None  # plans that do not hold are refused
-                holding += 1
-                if done.replay.cost < self.road_cost:
-                    self.execution, self.driven = done, node
+            elif done.replay is not None and done.replay.cost < self.road_cost:
+                self.execution, self.driven = done, node
             if row.cost > node.row.cost + SAME * abs(node.row.cost):
                 # refused or repaired: others were closed against a cost that does not hold
                 self.nodes[subset] = replace(node, row=row)
@@ -485,9 +487,10 @@ class Search:
         """Return the cheapest plan not driven, if it is the best or may be on the road."""
         planned = [n for n in self.nodes.values() if n.row.outcome is Outcome.PLANNED]
         node = min(filter(self._is_new, planned), key=lambda n: n.row.cost, default=None)
-        if node is None or node is self.best or node.row.cost < self.road_cost:
+        if node is None or node is self.best:
             return node
-        return None
+        late = self.interrupted or time.perf_counter() > self.deadline
+        return None if late or node.row.cost >= self.road_cost else node
 
     def drive_or_rescue(self) -> None:
         """Drive plans until one holds; if none does, plan the most promising subsets again."""
