@@ -134,7 +134,7 @@ def save_proofs(path: str | Path, trip: Trip, result: Result) -> None:
     ...     load_proofs(Path(folder) / "trip.proofs").cost == result.cost
     True
     """
-    if not result.proofs or result.grid is None:
+    if not result.proofs:
         raise ValueError("the result has no proofs: plan with keep_proofs=True")
     if result.chargers != tuple(c.name for c in trip.chargers):
         raise ValueError("the result is of another trip")

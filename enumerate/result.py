@@ -13,6 +13,7 @@ import numpy as np
 from enumerate.evidence import ProofNode, StageProof
 from enumerate.gap import DEFAULT_GAP, relative_gap
 from enumerate.ledger import Ledger
+from relax.trip import Grid
 
 if TYPE_CHECKING:
     from enumerate.diagnose import Diagnosis
@@ -21,7 +22,6 @@ if TYPE_CHECKING:
     from relax.execute import Execution
     from relax.instance import Instance
     from relax.report import PlanReport
-    from relax.trip import Grid
 
 __all__ = ["Result", "Status"]
 
@@ -73,8 +73,8 @@ class Result:
         Evidence of all bounds, if it was to be kept.
     diagnosis : Diagnosis or None
         Without a plan: how far the car gets and what would help.
-    grid : Grid or None
-        Steps and cells of the transcription; None if it is not known.
+    grid : Grid
+        Steps and cells of the transcription.
     instance : Instance or None
         Transcription of the plan's subset.
     execution : Execution or None
@@ -99,7 +99,7 @@ class Result:
     programs: int = 0
     proofs: tuple[ProofNode, ...] = ()
     diagnosis: Diagnosis | None = None
-    grid: Grid | None = None
+    grid: Grid = field(default_factory=Grid)
     instance: Instance | None = field(default=None, repr=False, compare=False)
     execution: Execution | None = field(default=None, repr=False, compare=False)
     stages: StageProof | None = field(default=None, repr=False, compare=False)

@@ -101,12 +101,13 @@ def _status(result: Result) -> str:
         Status.INFEASIBLE: "infeasible: for each choice of stops it is proved that no plan exists",
         Status.UNKNOWN: "unknown: no plan was found, and none is ruled out",
     }[result.status]
+    grid = result.grid
+    finer = f"--set grid.step_km={0.5 * grid.step_km:g} --set grid.cells={2 * grid.cells}"
     refused = any(row.reason.startswith(REFUSED) for row in result.ledger.rows)
     if result.status is Status.UNKNOWN and refused:
         text = (
             "unknown: of the plans found none keeps every limit when driven on the continuous "
-            "model, and none is ruled out; a finer grid may give one (--set grid.cells=..., "
-            "--set grid.step_km=...)"
+            f"model, and none is ruled out; a finer grid may give one ({finer})"
         )
     least = min(result.cost, result.transcribed_cost)
     complete = is_proved(least, least, result.lower_bound, result.optimal_gap)
@@ -115,7 +116,7 @@ def _status(result: Result) -> str:
         text = (
             "feasible: the plan keeps every limit when driven on the continuous model; the proof "
             f"on the grid is complete, but drive and grid differ by {apart} %: a finer grid "
-            "brings them together (--set grid.cells=..., --set grid.step_km=...)"
+            f"brings them nearer ({finer})"
         )
     if result.interrupted:
         text += f" ({result.interrupted}: this is what was known by then)"

@@ -112,8 +112,9 @@ def test_a_gap_that_the_grid_puts_out_of_reach_is_not_chased() -> None:
     assert result.status is Status.FEASIBLE and not result.interrupted
     assert result.cost > 1.01 * result.transcribed_cost
     assert result.lower_bound >= (1.0 - 0.0100001) * result.transcribed_cost
-    assert "finer grid" in " ".join(format_result(result).split())
-    fine = plan(case.load(), gap=0.01, time_limit_s=60.0, grid=Grid(2.0, 12))
+    text = " ".join(format_result(result).split())
+    assert "a finer grid brings them nearer (--set grid.step_km=2 --set grid.cells=24)" in text
+    fine = plan(case.load(), gap=0.01, time_limit_s=60.0, grid=Grid(2.0, 24))
     assert fine.status is Status.OPTIMAL
 
 
