@@ -453,7 +453,7 @@ class Search:
         doubt. The cheapest on the road is kept.
         """
         rivals = 0
-        while (node := self._next_to_drive()) is not None and rivals <= RIVALS:
+        while (node := self._next_to_drive()) is not None and rivals < RIVALS:
             rivals += self.execution is not None
             settings = self.setting.refine
             if node is self.best:  # its repairs are worth more than the moment

@@ -120,12 +120,19 @@ def _saving(result: Result, rows: list[Row], best: Row | None) -> str:
     return percent(0.0 if beaten else relative_gap(result.cost, bound), 2)
 
 
+def _difference(row: Row, best: Row, unit: str = "") -> str:
+    """Return by how much another choice's plan is dearer, or what makes it cheaper on the grid."""
+    more = row.cost - best.cost
+    which = "more" if more >= 0.0 else "less on the grid"
+    return f"{number(abs(more), 2)}{unit} {which}"
+
+
 def _why(row: Row, best: Row | None) -> str:
     """Return how a choice or family ended, beside the best plan."""
     if best is not None and row is best:
         return "the plan"
     if best is not None and row.outcome is Outcome.PLANNED:
-        text = f"costs {number(row.cost - best.cost, 2)} more"
+        text = f"costs {_difference(row, best)}"
         return text if isfinite(row.lower_bound) else f"{text}; less is not ruled out"
     if best is not None and row.outcome is Outcome.BOUNDED:
         if _beaten(row, best):
@@ -194,6 +201,8 @@ def format_choices(result: Result) -> str:
         note = "Costs and bounds here are those of the transcription."
         if best is not None:
             note += " Could save: against the plan, at most."
+            if any(row.cost < best.cost for row in rows):
+                note += " Of those that cost less on the grid, the ones driven cost more."
         notes.append(note)
     return "\n".join([listed, *(paragraph("", note, 0) for note in notes)])
 
@@ -254,8 +263,8 @@ def _unused_reason(result: Result, rows: list[Row], best: Row) -> str:
     """Return what is known of all choices with a charger; families may hold others besides."""
     planned = min((r for r in rows if r.cost < inf), key=lambda r: r.cost, default=None)
     if planned is not None:
-        more = number(planned.cost - best.cost, 2)
-        return f"the best found {more} {result.currency} more ({_name(result, planned, best)})"
+        difference = _difference(planned, best, f" {result.currency}")
+        return f"the best found {difference} ({_name(result, planned, best)})"
     if all(r.outcome is Outcome.INFEASIBLE for r in rows):
         return "every choice of stops with it is proved infeasible"
     least = min((r.lower_bound for r in rows if r.outcome is not Outcome.INFEASIBLE), default=-inf)

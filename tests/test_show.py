@@ -346,6 +346,20 @@ def test_a_family_is_never_taken_for_the_plan(result: Result) -> None:
     assert text.count("at best 5.00 % less: proved") == 2
 
 
+def test_what_is_cheaper_on_the_grid_alone_says_so(result: Result) -> None:
+    best = min(result.ledger.rows, key=lambda row: row.cost)
+    other = next(row for row in result.ledger.rows if row is not best and row.subset)
+    cost, bound = best.cost - 1.25, best.lower_bound
+    cheaper = Row(other.subset, Outcome.PLANNED, cost, bound)
+    rows = tuple(cheaper if row is other else row for row in result.ledger.rows)
+    ledger = dataclasses.replace(result.ledger, rows=rows)
+    text = " ".join(format_result(dataclasses.replace(result, ledger=ledger)).split())
+    assert "costs 1.25 less on the grid" in text and "-1.25" not in text
+    assert f"the best found 1.25 {result.currency} less on the grid" in text
+    assert "the ones driven cost more" in text
+    assert "less on the grid" not in " ".join(format_result(result).split())
+
+
 def test_what_cannot_be_better_is_counted_apart_from_what_nearly_cannot(result: Result) -> None:
     rows = (
         Row((0,), Outcome.PLANNED, 100.0, 99.5),
