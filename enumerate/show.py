@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from enumerate.gap import is_proved
+from enumerate.gap import is_proved, relative_gap
 from enumerate.ledger import REFUSED
 from enumerate.result import Result, Status
 from enumerate.show_choices import format_choices, format_unused
@@ -109,14 +109,15 @@ def _status(result: Result) -> str:
             "unknown: of the plans found none keeps every limit when driven on the continuous "
             f"model, and none is ruled out; a finer grid may give one ({finer})"
         )
-    least = min(result.cost, result.transcribed_cost)
+    on_grid = min([result.transcribed_cost, *(row.cost for row in result.ledger.rows)])
+    least = min(result.cost, on_grid)
     complete = is_proved(least, least, result.lower_bound, result.optimal_gap)
-    if result.status is Status.FEASIBLE and result.plan is not None and complete:
-        apart = percent(abs(result.plan.deviation.cost), 2)
+    if result.status is Status.FEASIBLE and complete:
+        apart = percent(relative_gap(max(result.cost, on_grid), least), 2)
         text = (
             "feasible: the plan keeps every limit when driven on the continuous model; the proof "
-            f"on the grid is complete, but drive and grid differ by {apart} %: a finer grid "
-            f"brings them nearer ({finer})"
+            "on the grid is complete, but this drive and the cheapest plan there differ by "
+            f"{apart} %: a finer grid brings them nearer ({finer})"
         )
     if result.interrupted:
         text += f" ({result.interrupted}: this is what was known by then)"

@@ -14,6 +14,7 @@ import pytest
 from trips import small_trip
 
 from benchmarks.cases import select
+from benchmarks.random_trips import random_trip
 from enumerate import Outcome, Progress, Result, Status, plan
 from enumerate.ledger import Row
 from enumerate.show import format_result
@@ -103,6 +104,17 @@ def test_a_gap_below_the_error_of_the_grid_is_not_called_proved() -> None:
     assert "finer grid" in " ".join(format_result(result).split())
     fine = load_trip(name)
     assert plan(replace(fine, chargers=fine.chargers[chosen]), gap=0.003).status is Status.OPTIMAL
+
+
+def test_a_plan_that_repairs_made_dearer_than_the_grid_says_why_it_is_not_proved() -> None:
+    """The cheapest plan on a coarse grid passes a limit between its nodes; mended it costs more."""
+    result = plan(random_trip(2), gap=0.01)
+    cheapest = min(row.cost for row in result.ledger.rows)
+    assert result.status is Status.FEASIBLE and cheapest < 0.995 * result.transcribed_cost
+    text = " ".join(format_result(result).split())
+    assert "the proof on the grid is complete" in text
+    apart = 100.0 * (1.0 - cheapest / result.cost)
+    assert f"differ by {apart:.2f} %: a finer grid brings them nearer" in text
 
 
 def test_a_gap_that_the_grid_puts_out_of_reach_is_not_chased() -> None:
