@@ -43,15 +43,15 @@ def is_closed(lower_bound: float, cost: float) -> bool:
     return lower_bound >= cost
 
 
-def is_close(cost: float, best: float) -> bool:
-    """Return whether a local optimum is near enough to the best for further starts.
+def is_close(cost: float, best: float, share: float = CLOSE) -> bool:
+    """Return whether a local optimum is near enough to the best, by a share, for further starts.
 
     Examples
     --------
     >>> is_close(201.0, 200.0), is_close(210.0, 200.0)
     (True, False)
     """
-    return cost <= best + CLOSE * max(abs(best), 1.0)
+    return cost <= best + share * max(abs(best), 1.0)
 
 
 def is_proved(cost: float, transcribed: float, lower_bound: float, gap: float) -> bool:

@@ -23,6 +23,7 @@ from relax.relaxed_point import Optimum, RelaxedPoint
 from relax.simulate import Simulation
 from relax.starts import (
     best_start,
+    colder_start,
     even_start,
     further_starts,
     relaxed_start,
@@ -36,6 +37,7 @@ __all__ = [
     "Node",
     "Setting",
     "examine_leaf",
+    "refine_apart",
     "refine_node",
     "refine_point",
     "refine_splits",
@@ -45,11 +47,9 @@ __all__ = [
 ]
 
 
-SEVERAL_STOPS = 3
-"""With this many stops local optima differ: by up to 2 % with the five of ``long-1000km-winter``,
-where the best is reached from a warm start, not from the relaxed optimum."""
-APART = 5
-"""Starts that owe nothing to the plan a subset has: an even one and four warm ones."""
+SEVERAL_STOPS = 2
+"""With this many stops local optima differ by up to 8 % where it is cold, and the relaxed optimum,
+whose losses heat the battery for nothing, leads to poor ones."""
 
 
 @dataclass(frozen=True)
@@ -124,19 +124,40 @@ def relax_node(setting: Setting, node: Node) -> Node:
     return Node(row, relaxed.point, steps=relaxed.steps, optimum=relaxed.optimum)
 
 
-def refine_node(setting: Setting, node: Node, starts: list[Controls] | None = None) -> Node:
+def refine_node(
+    setting: Setting, node: Node, starts: list[Controls] | None = None, warm: bool = False
+) -> Node:
     """Plan a subset from its relaxed point or from given starts; a better plan it has stays.
 
     Unless it was refused when it was driven: then any plan that differs is better.
+
+    Parameters
+    ----------
+    setting : Setting
+        What every task needs.
+    node : Node
+        The subset.
+    starts : list of Controls, optional
+        Instead of the relaxed point.
+    warm : bool
+        Start from equal, warm stops where there are several; from the relaxed point if that
+        leads to no plan.
     """
     instance = setting.instance(node.row.subset)
     first = starts is None
     simulation = Simulation(instance)
+
+    def relaxed() -> Controls:
+        return best_start(instance, node.point, node.row.lower_bound, simulation)
+
+    warm = warm and len(instance.stops) >= SEVERAL_STOPS
     if starts is None:
-        starts = [best_start(instance, node.point, node.row.lower_bound, simulation)]
+        starts = [warmer_start(instance, even_start(instance)) if warm else relaxed()]
     had = node.refined
     known = had.trajectory if had is not None and had.feasible else None
     found = [refine(instance, start, setting.refine, simulation, known) for start in starts]
+    if first and warm and not found[0].feasible:
+        found.append(refine(instance, relaxed(), setting.refine, simulation))
     if first and not any(one.feasible for one in found):  # may miss a limit by a hair
         found.append(refine(instance, even_start(instance), setting.refine))
     refused = known is not None and node.row.outcome is Outcome.UNPROVED
@@ -163,15 +184,20 @@ def examine_leaf(setting: Setting, leaf: Leaf, cutoff: float, deadline: float) -
 
 
 def refine_splits(setting: Setting, node: Node) -> Node:
-    """Plan a subset again, from its energy split otherwise between the stops, or warmer.
-
-    With several stops also from starts that owe nothing to the plan it has.
-    """
+    """Plan a subset again, from its energy split otherwise between the stops, or warmer."""
     assert node.refined is not None
     instance, controls = setting.instance(node.row.subset), node.refined.controls
     starts = [*split_starts(instance, controls), warmer_start(instance, controls)]
-    if len(instance.stops) >= SEVERAL_STOPS:
-        starts += islice(further_starts(instance), APART)
+    return refine_node(setting, node, starts)
+
+
+def refine_apart(setting: Setting, node: Node) -> Node:
+    """Plan a subset again: from its plan warmer and colder, equal stops, the relaxed optimum."""
+    assert node.refined is not None
+    instance, controls = setting.instance(node.row.subset), node.refined.controls
+    starts = [warmer_start(instance, controls), colder_start(controls), even_start(instance)]
+    if len(instance.stops) >= SEVERAL_STOPS and node.point is not None:
+        starts.append(relaxed_start(instance, node.point))
     return refine_node(setting, node, starts)
 
 

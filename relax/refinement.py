@@ -50,7 +50,8 @@ MAX_RESTARTS = 1
 LARGEST_TRUST_K = 16.0
 """Trust region beyond which it does not grow [K]."""
 LOSING = 2e-3
-"""Relative tolerance for subsets that cannot reach the best plan any more."""
+"""Relative tolerance for subsets that cannot reach the best plan any more: without one the costs
+of other choices are up to 17 % too high from Goteborg to Stockholm in winter."""
 HOPE = 5.0
 """Multiple of its predicted gain that a search is trusted to reach."""
 DEARER = (10.0, 100.0)

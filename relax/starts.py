@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "best_start",
+    "colder_start",
     "even_start",
     "further_starts",
     "relaxed_start",
@@ -240,3 +241,15 @@ def warmer_start(instance: Instance, controls: Controls) -> Controls:
         The plan's.
     """
     return warm_start(instance, controls, *WARMER)
+
+
+def colder_start(controls: Controls) -> Controls:
+    """Return a plan's controls without any heating of the battery.
+
+    Parameters
+    ----------
+    controls : Controls
+        The plan's.
+    """
+    stops = tuple(replace(s, heater_kw=np.zeros_like(s.heater_kw)) for s in controls.stops)
+    return replace(controls, heater_kw=np.zeros_like(controls.heater_kw), stops=stops)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 from dataclasses import replace
-from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -15,14 +14,29 @@ from benchmarks.random_trips import random_trip
 from enumerate import Outcome, explore, plan
 from enumerate.ledger import Row
 from enumerate.subset import neighbours
-from enumerate.tasks import Node, Setting, refine_node, refine_splits, refine_thinned, rescue_node
+from enumerate.tasks import (
+    Node,
+    Setting,
+    refine_apart,
+    refine_node,
+    refine_thinned,
+    rescue_node,
+)
 from relax import idle_controls, load_trip, make_instance, refine, simulate
 from relax.bound import relax_subset
 from relax.execute import Execution, execute
 from relax.instance import Instance, make_drive
 from relax.refinement import Refined, RefineSettings, _descend, best_of
 from relax.simulate import Simulation, is_feasible
-from relax.starts import best_start, even_start, further_starts, thinned_starts, warmer_start
+from relax.starts import (
+    best_start,
+    colder_start,
+    even_start,
+    further_starts,
+    relaxed_start,
+    thinned_starts,
+    warmer_start,
+)
 from relax.trip import Trip
 
 FOUND = {
@@ -216,17 +230,55 @@ def test_a_plan_that_heats_too_little_is_planned_again_from_a_warmer_one() -> No
     assert plan(trip).cost < 1.001 * again.trajectory.cost
 
 
-def test_with_several_stops_no_start_apart_is_cheaper_than_the_plan() -> None:
-    trip = load_trip("long-1000km-winter")
-    subset = (4, 8, 13, 15, 18)
+@pytest.mark.parametrize(
+    ("name", "soc", "subset"),
+    [
+        ("long-1000km-winter", 0.9, (4, 8, 13, 15, 18)),
+        ("goteborg-stockholm-winter", 0.65, (0, 4)),
+    ],
+)
+def test_in_the_cold_a_warm_start_beats_the_relaxed_optimum(
+    name: str, soc: float, subset: tuple[int, ...]
+) -> None:
+    trip = load_trip(name, overrides={"start.soc": soc})
     setting = Setting(trip, make_drive(trip, trip.grid.step_km), trip.grid, RefineSettings())
     instance = setting.instance(subset)
     relaxed = relax_subset(instance)
     node = Node(Row(subset, Outcome.UNPROVED, lower_bound=relaxed.lower_bound), relaxed.point)  # type: ignore[arg-type]
-    first = refine_node(setting, node)
-    done = refine_splits(setting, first)
-    assert done.row.cost < 0.99 * first.row.cost  # from the relaxed optimum 2 % dearer
-    apart = [
-        refine(instance, start).trajectory.cost for start in islice(further_starts(instance), 5)
-    ]
-    assert done.row.cost <= min(apart) * (1.0 + 1e-9)
+    warm = refine_node(setting, node, warm=True)
+    assert warm.row.cost < 0.99 * refine_node(setting, node).row.cost
+    again = refine_apart(setting, warm)
+    starts = [even_start(instance), relaxed_start(instance, relaxed.point)]  # type: ignore[arg-type]
+    assert warm.refined is not None
+    starts += [warmer_start(instance, warm.refined.controls), colder_start(warm.refined.controls)]
+    others = [refine(instance, start).trajectory.cost for start in starts]
+    assert again.row.cost <= min(warm.row.cost, *others) * (1.0 + 1e-5)
+
+
+def test_where_a_warm_start_leads_to_no_plan_the_relaxed_optimum_does(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    trip = small_trip()
+    setting = Setting(trip, make_drive(trip, trip.grid.step_km), trip.grid, RefineSettings())
+    relaxed = relax_subset(setting.instance((0, 1)))
+    node = Node(Row((0, 1), Outcome.UNPROVED, lower_bound=relaxed.lower_bound), relaxed.point)  # type: ignore[arg-type]
+    started: list[Any] = []
+
+    def first_fails(instance: Instance, start: Any, *rest: Any) -> Refined:
+        started.append(start)
+        return replace(refine(instance, start, *rest), feasible=len(started) > 1)
+
+    monkeypatch.setattr("enumerate.tasks.refine", first_fails)
+    found = refine_node(setting, node, warm=True)
+    assert found.row.outcome is Outcome.PLANNED and len(started) == 2
+    assert started[0].heater_kw.any() and not np.array_equal(*(s.heater_kw for s in started))
+
+
+def test_a_colder_start_heats_no_battery_and_leaves_the_rest() -> None:
+    instance = make_instance(small_trip(), (0, 1))
+    warm = warmer_start(instance, even_start(instance))
+    cold = colder_start(warm)
+    assert warm.heater_kw.any() and not cold.heater_kw.any()
+    assert not any(stop.heater_kw.any() for stop in cold.stops)
+    assert np.array_equal(cold.heat_pump_kw, warm.heat_pump_kw)
+    assert [s.energy_kwh for s in cold.stops] == [s.energy_kwh for s in warm.stops]
