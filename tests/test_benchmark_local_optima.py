@@ -1,0 +1,35 @@
+"""Plans against many starts: a row per start, a row per kind of start, nothing below the best."""
+
+from __future__ import annotations
+
+from math import inf
+
+import pytest
+
+from benchmarks.local_optima import FREE, best_of_starts, main
+from enumerate import plan
+from relax import load_trip
+
+
+def test_a_plan_is_compared_with_the_best_of_many_starts(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert main(["--trip", "paper-400km", "--soc", "0.9", "--stops", "2"]) == 0
+    plans, kinds = capsys.readouterr().out.split("\n\n")
+    (row,) = plans.splitlines()[2:]
+    assert abs(float(row.strip("| ").split("|")[-1].strip(" %"))) < 0.05
+    rows = [line.strip("|").split("|") for line in kinds.splitlines()[2:]]
+    assert [cells[0].strip() for cells in rows][3:] == list(FREE)
+    assert all(0.0 <= float(c[2].strip(" %")) <= float(c[3].strip(" %")) + 0.05 for c in rows)
+
+
+def test_choices_that_cannot_be_the_best_are_left_out_and_no_start_beats_a_bound() -> None:
+    trip = load_trip("paper-400km")
+    result = plan(trip)
+    found = best_of_starts(trip, 2)
+    assert result.instance is not None and result.instance.subset in found
+    assert len(found) < 6
+    bounds = {row.subset: row.lower_bound for row in result.ledger.rows}
+    for subset, costs in found.items():
+        assert min(costs.values()) >= bounds.get(subset, -inf)
+        assert {"relaxed", *FREE} <= set(costs)
