@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from dataclasses import replace
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -251,8 +252,9 @@ def test_in_the_cold_a_warm_start_beats_the_relaxed_optimum(
     starts = [even_start(instance), relaxed_start(instance, relaxed.point)]  # type: ignore[arg-type]
     assert warm.refined is not None
     starts += [warmer_start(instance, warm.refined.controls), colder_start(warm.refined.controls)]
+    starts += islice(further_starts(instance), 5)  # even and warm: they owe nothing to the plan
     others = [refine(instance, start).trajectory.cost for start in starts]
-    assert again.row.cost <= min(warm.row.cost, *others) * (1.0 + 1e-5)
+    assert again.row.cost <= min(warm.row.cost, *others) * (1.0 + 1e-9)
 
 
 def test_where_a_warm_start_leads_to_no_plan_the_relaxed_optimum_does(
