@@ -27,6 +27,7 @@ if __name__ == "__main__":
 from enumerate import plan
 from relax import load_trip
 from relax.bound import relax_subset
+from relax.errors import InputError
 from relax.instance import Instance, make_drive, make_instance
 from relax.plan import Controls
 from relax.refinement import refine
@@ -101,7 +102,8 @@ def best_of_starts(trip: Trip, max_stops: int) -> Found:
         for subset in tqdm(subsets, desc=f"{count} stops", file=sys.stderr, disable=None):
             instance = make_instance(trip, subset, trip.grid, drive)
             relaxed = relax_subset(instance)
-            if relaxed.infeasible or (relaxed.lower_bound or -inf) >= best:
+            bound = -inf if relaxed.lower_bound is None else relaxed.lower_bound
+            if relaxed.infeasible or bound >= best:
                 continue
             found[subset] = refined_costs(instance, relaxed.point)
             best = min(best, *found[subset].values())
@@ -122,20 +124,24 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--soc", nargs="+", type=float, default=list(SOCS), metavar="SOC")
     parser.add_argument("--stops", type=int, default=MAX_STOPS, metavar="K")
     asked = parser.parse_args(arguments)
+    if asked.stops < 1:
+        parser.error(f"--stops: {asked.stops}; allowed: 1 or more")
+    try:
+        trips = [load_trip(asked.trip, overrides={"start.soc": soc}) for soc in asked.soc]
+    except InputError as error:
+        parser.error(str(error))
     print("| start | plan | best of many starts | above it |")
     print("|---:|---:|---:|---:|")
     everything: list[Found] = []
-    for soc in asked.soc:
-        trip = load_trip(asked.trip, overrides={"start.soc": soc})
+    for soc, trip in zip(asked.soc, trips, strict=True):
         result, found = plan(trip), best_of_starts(trip, asked.stops)
         everything.append(found)
-        subset = min(found, key=lambda s: min(found[s].values()))
-        best = min(found[subset].values())
+        cost = result.transcribed_cost
         stops = () if result.instance is None else result.instance.subset
-        above = 100.0 * (result.transcribed_cost / best - 1.0)
+        best, subset = min(((min(c.values()), s) for s, c in found.items()), default=(inf, ()))
+        above = f"{100.0 * (cost / best - 1.0):.2f} %" if max(cost, best) < inf else "-"
         print(
-            f"| {100.0 * soc:.0f} % | {result.transcribed_cost:.2f} ({_names(stops)}) | "
-            f"{best:.2f} ({_names(subset)}) | {above:.2f} % |",
+            f"| {100.0 * soc:.0f} % | {_named(cost, stops)} | {_named(best, subset)} | {above} |",
             flush=True,
         )
     print("\n| start of a refinement | no plan | mean above the best | worst |")
@@ -148,8 +154,9 @@ def main(arguments: list[str] | None = None) -> int:
     return 0
 
 
-def _names(subset: tuple[int, ...]) -> str:
-    return "+".join(map(str, subset))
+def _named(cost: float, subset: tuple[int, ...]) -> str:
+    """Return a cost with the numbers of its chargers."""
+    return f"{cost:.2f} ({'+'.join(map(str, subset))})" if cost < inf else "no plan"
 
 
 if __name__ == "__main__":

@@ -33,3 +33,24 @@ def test_choices_that_cannot_be_the_best_are_left_out_and_no_start_beats_a_bound
     for subset, costs in found.items():
         assert min(costs.values()) >= bounds.get(subset, -inf)
         assert {"relaxed", *FREE} <= set(costs)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["--stops", "0"], "allowed: 1 or more"),
+        (["--trip", "nowhere"], "nowhere"),
+        (["--soc", "2"], "start.soc"),
+    ],
+)
+def test_bad_input_is_one_error(
+    arguments: list[str], said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as stopped:
+        main(arguments)
+    assert stopped.value.code == 2 and said in capsys.readouterr().err
+
+
+def test_a_trip_without_a_plan_is_said_to_have_none(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--trip", "paper-400km", "--soc", "0.06", "--stops", "1"]) == 0
+    assert "| 6 % | no plan | no plan | - |" in capsys.readouterr().out
