@@ -15,9 +15,10 @@ import numpy.typing as npt
 
 from benchmarks.contradiction import Effort
 from relax.bound import relax_subset
+from relax.completion import complete, merit
 from relax.instance import MIN_CHARGE_KWH, Instance
 from relax.plan import Controls, StopControls, Trajectory
-from relax.refinement import RefineSettings, complete, merit, refine
+from relax.refinement import RefineSettings, refine
 from relax.simulate import Simulation, simulate
 from relax.starts import best_start, even_start, warm_start
 

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
+from relax.completion import complete, merit
 from relax.instance import MIN_CHARGE_KWH, Instance
 from relax.plan import Controls, StopControls
-from relax.refinement import complete, merit
 from relax.simulate import Simulation, Thermostat, idle_controls, is_feasible
 
 if TYPE_CHECKING:

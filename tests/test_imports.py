@@ -38,6 +38,8 @@ WRITERS = {
     "relax.relaxation_stops",
     "relax.relaxation_model",
     "relax.refinement",
+    "relax.descent",
+    "relax.completion",
     "relax.quadratic",
     "relax.step_layout",
     "relax.expansion",
@@ -48,7 +50,14 @@ WRITERS = {
     "relax.tighten",
 }
 
-SUGGESTS = {"relax.refinement", "relax.quadratic", "relax.expansion", "relax.starts"}
+SUGGESTS = {
+    "relax.refinement",
+    "relax.descent",
+    "relax.completion",
+    "relax.quadratic",
+    "relax.expansion",
+    "relax.starts",
+}
 """Approximations: nothing that proves may rest on them."""
 
 PROVES = {

@@ -16,14 +16,15 @@ from relax import (
     Instance,
     RefineSettings,
     Table1,
+    descent,
     idle_controls,
     make_instance,
     refine,
-    refinement,
     simulate,
 )
+from relax.completion import complete, merit, penalty_prices
+from relax.descent import SAME_PLACE, Descent
 from relax.instance import MIN_CHARGE_KWH
-from relax.refinement import SAME_PLACE, complete, merit, penalty_prices
 from relax.simulate import FEASIBLE, Simulation, is_feasible
 from relax.starts import even_start, split_starts, warmer_start
 
@@ -37,6 +38,23 @@ def test_a_refined_plan_is_the_simulation_of_its_controls(name: str) -> None:
     assert again.cost == pytest.approx(found.trajectory.cost, rel=1e-9)
     np.testing.assert_allclose(again.temperature_c, found.trajectory.temperature_c, atol=1e-6)
     assert max(residuals(instance, found.trajectory).values()) < 1e-7
+
+
+@pytest.mark.parametrize("name", ["two stops", "winter"])
+@pytest.mark.parametrize("pause", [1, 2, 3])
+def test_a_descent_that_pauses_ends_where_one_does_that_does_not(name: str, pause: int) -> None:
+    instance = CASES[name]
+    search = Descent(Simulation(instance), even_start(instance), RefineSettings())
+    most = 0
+    while not search.ended:
+        most += pause
+        before = search.value
+        found = search.run(most)
+        assert search.value <= before
+    assert search.run(RefineSettings().max_programs).trajectory is found.trajectory  # for good
+    without = refine(instance, even_start(instance))
+    assert found.trajectory.cost == pytest.approx(without.trajectory.cost, rel=1e-9)
+    assert most >= found.programs == without.programs > pause
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -176,7 +194,7 @@ def test_a_search_that_arrives_at_a_known_plan_ends_there(name: str) -> None:
 @pytest.mark.parametrize("name", CASES)
 def test_a_last_step_is_recognised_without_loss(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     found = refined(name)
-    monkeypatch.setattr(refinement, "SETTLED", 0.0)
+    monkeypatch.setattr(descent, "SETTLED", 0.0)
     longer = refine(CASES[name], even_start(CASES[name]))
     assert found.programs <= longer.programs
     assert found.trajectory.cost <= longer.trajectory.cost * (1.0 + 2e-5)

@@ -27,8 +27,8 @@ from relax import (
     replay,
     simulate,
 )
+from relax.completion import complete
 from relax.exact import ExactCar
-from relax.refinement import complete
 from relax.replay import Violation, _Driver
 from relax.simulate import Simulation
 from relax.starts import even_start

@@ -25,9 +25,10 @@ from enumerate.tasks import (
 )
 from relax import idle_controls, load_trip, make_instance, refine, simulate
 from relax.bound import relax_subset
+from relax.descent import Descent
 from relax.execute import Execution, execute
 from relax.instance import Instance, make_drive
-from relax.refinement import Refined, RefineSettings, _descend, best_of
+from relax.refinement import Refined, RefineSettings, best_of
 from relax.simulate import Simulation, is_feasible
 from relax.starts import (
     best_start,
@@ -100,12 +101,9 @@ def test_a_kelvin_may_be_worth_a_hundred_times_the_usual_penalty() -> None:
     relaxed = relax_subset(instance)
     assert relaxed.lower_bound is not None
     start = best_start(instance, relaxed.point, relaxed.lower_bound)
-    assert [
-        _descend(Simulation(instance), start, RefineSettings(), w).feasible for w in (1.0, 10.0)
-    ] == [
-        False,
-        False,
-    ]
+    for weight in (1.0, 10.0):
+        descent = Descent(Simulation(instance), start, RefineSettings(), weight)
+        assert not descent.run(RefineSettings().max_programs).feasible
     assert refine(instance, start).feasible
 
 

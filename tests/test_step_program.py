@@ -14,9 +14,9 @@ from test_expansion import INSTANCE as SMOOTH
 from trips import small_trip
 
 from relax import Controls, Instance, Trajectory, idle_controls, make_instance, simulate
+from relax.completion import penalty_prices
 from relax.expansion import expand_cells, expand_drive
 from relax.quadratic import QuadraticStep, TrustRegion
-from relax.refinement import penalty_prices
 from relax.step_layout import Watch
 
 Array = npt.NDArray[np.float64]

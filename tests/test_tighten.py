@@ -12,11 +12,12 @@ from trips import small_trip
 
 from relax import load_trip, make_instance, simulate
 from relax.bound import relax_subset
+from relax.completion import complete
 from relax.instance import Instance
 from relax.intervals import Interval
 from relax.program import add_cutoff, make_cone_program
 from relax.reach import make_box, propagate
-from relax.refinement import Refined, complete, refine
+from relax.refinement import Refined, refine
 from relax.simulate import Simulation
 from relax.solve import SolveStatus, solve_cone
 from relax.starts import best_start

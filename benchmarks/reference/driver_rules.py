@@ -14,11 +14,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
+from relax.completion import complete
 from relax.errors import DomainError
 from relax.execute import execute
 from relax.instance import MIN_CHARGE_KWH, Instance, make_drive, make_instance
 from relax.plan import Controls, StopControls, Trajectory
-from relax.refinement import Refined, complete
+from relax.refinement import Refined
 from relax.simulate import FEASIBLE, Simulation, Thermostat, idle_controls, is_feasible
 from relax.trip import Trip
 

@@ -16,10 +16,11 @@ from time import perf_counter
 from benchmarks.reference.dynamic_forward import Forward, follow
 from benchmarks.reference.dynamic_tables import BIG, Resolution, ValueTables
 from benchmarks.reference.dynamic_value import compute_tables
+from relax.completion import complete
 from relax.execute import execute
 from relax.instance import make_instance
 from relax.plan import Controls, Trajectory
-from relax.refinement import Refined, complete
+from relax.refinement import Refined
 from relax.simulate import Simulation, is_feasible
 from relax.trip import Trip
 

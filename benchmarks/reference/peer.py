@@ -20,9 +20,9 @@ from benchmarks.reference.polish import polish, release
 from benchmarks.reference.program import COST_SCALE, LIMIT_SCALE_KW, SCALES, Model
 from benchmarks.reference.stages import Stages
 from benchmarks.reference.starts import Start, make_start
+from relax.descent import NEARLY_FEASIBLE
 from relax.instance import Instance
 from relax.plan import Controls, Trajectory
-from relax.refinement import NEARLY_FEASIBLE
 from relax.simulate import FEASIBLE, is_feasible
 
 __all__ = [
