@@ -20,8 +20,9 @@ from math import inf
 
 from enumerate.account import Account
 from enumerate.gap import closing_cost, is_close, is_closed
-from enumerate.ledger import REFUSED, Outcome, Row
+from enumerate.ledger import Outcome, Row
 from enumerate.pool import run_in_order
+from enumerate.road import Road
 from enumerate.stage_graph import StageGraph
 from enumerate.stage_parts import StageStep
 from enumerate.stage_search import StageSearch
@@ -39,8 +40,6 @@ from enumerate.tasks import (
     rescue_node,
 )
 from enumerate.tree import Examined, Leaf, cut_unbounded, make_roots
-from relax.execute import Execution, execute
-from relax.refinement import Refined
 from relax.relaxed_point import Optimum
 
 __all__ = ["FEW_CHARGERS", "Progress", "Search"]
@@ -142,9 +141,7 @@ class Search:
             self.nodes = {s: Node(Row(s, Outcome.UNPROVED)) for s in every}
         else:
             self.account.plant(make_roots(self.n_chargers))
-        self.execution: Execution | None = None
-        self.driven: Node | None = None
-        self.on_road: dict[Subset, Refined] = {}  # the last plan driven of each
+        self.road = Road()
         self.interrupted = ""
 
     @property
@@ -344,7 +341,7 @@ class Search:
         Without a plan, whatever is not infeasible: what is left of it tells where to start again.
         """
         self.proving = True
-        if self.execution is not None and self.by_stages:
+        if self.road.execution is not None and self.by_stages:
             self._prove_by_stages(gap)
         if self.single:
             self.account.plant(
@@ -353,13 +350,13 @@ class Search:
                 if n.row.outcome is not Outcome.INFEASIBLE and s not in self.together
             )
         while not self.interrupted:
-            cutoff = inf if self.execution is None else self._cutoff(gap)
+            cutoff = inf if self.road.execution is None else self._cutoff(gap)
             most = min(max(self.account.n_open // 4, BATCH), PROOF_BATCH)
             examined = self._examine_batch(cutoff, most)
             if not examined:
                 return
             self._plan_leaves([e for e in examined if not e.leaf.undecided and not e.closed])
-            if self.best is not None and self._is_new(self.best):
+            if self.best is not None and self.road.is_new(self.best):
                 self.drive()
 
     def _cutoff(self, gap: float) -> float:
@@ -367,7 +364,7 @@ class Search:
 
         No bound exceeds what any plan costs on the grid.
         """
-        done = self.execution
+        done = self.road.execution
         assert done is not None and done.replay is not None  # plans that do not hold are refused
         return closing_cost(done.replay.cost, gap, min(done.trajectory.cost, self.cost))
 
@@ -387,7 +384,7 @@ class Search:
                 if paths % PATHS_EVERY == 1 and subset not in tried and len(tried) < MOST_PATHS:
                     tried.add(subset)
                     self._plan_new([subset])
-                    if self.best is not None and self._is_new(self.best):
+                    if self.best is not None and self.road.is_new(self.best):
                         self.drive()
                     if self._cutoff(gap) < graph.closing:
                         graph.apply(StageStep("closing", value=self._cutoff(gap)))
@@ -404,7 +401,7 @@ class Search:
         again = []
         for done in left:
             node = self.nodes.get(done.leaf.subset)  # none if time is up
-            most = FIRST_STARTS if self.execution is None else LEAF_STARTS
+            most = FIRST_STARTS if self.road.execution is None else LEAF_STARTS
             if node is None or done.point is None or node.starts >= most:
                 continue
             # a subset without a plan may have one that other starts missed
@@ -462,43 +459,17 @@ class Search:
         """
         rivals = 0
         while (node := self._next_to_drive()) is not None and rivals < RIVALS:
-            rivals += self.execution is not None
-            settings = self.setting.refine
-            if node is self.best:  # its repairs are worth more than the moment
-                settings = replace(settings, deadline=inf)
-            subset = node.row.subset
-            assert node.refined is not None
-            done = execute(self.setting.trip, self.setting.instance(subset), node.refined, settings)
-            self.on_road[subset] = node.refined
-            row = replace(node.row, cost=done.trajectory.cost)
-            if done.reason:
-                reason = f"{REFUSED}: {done.reason}"
-                row = replace(row, outcome=Outcome.UNPROVED, cost=inf, reason=reason)
-            elif done.replay is not None and done.replay.cost < self.road_cost:
-                self.execution, self.driven = done, node
+            rivals += self.road.execution is not None
+            row = self.road.drive(self.setting, node, patient=node is self.best)
             if row.cost > node.row.cost + SAME * abs(node.row.cost):
                 # refused or repaired: others were closed against a cost that does not hold
-                self.nodes[subset] = replace(node, row=row)
+                self.nodes[row.subset] = replace(node, row=row)
                 self._reopen()
 
-    @property
-    def road_cost(self) -> float:
-        """Cost of the driven plan."""
-        done = self.execution
-        return inf if done is None or done.replay is None else done.replay.cost
-
-    def _is_new(self, node: Node) -> bool:
-        """Whether the plan of a node has not been driven."""
-        return node.refined is not self.on_road.get(node.row.subset)
-
     def _next_to_drive(self) -> Node | None:
-        """Return the cheapest plan not driven, if it is the best or may be on the road."""
         planned = [n for n in self.nodes.values() if n.row.outcome is Outcome.PLANNED]
-        node = min(filter(self._is_new, planned), key=lambda n: n.row.cost, default=None)
-        if node is None or node is self.best:
-            return node
-        late = self.interrupted or time.perf_counter() > self.deadline
-        return None if late or node.row.cost >= self.road_cost else node
+        late = bool(self.interrupted) or time.perf_counter() > self.deadline
+        return self.road.next(planned, self.best, late)
 
     def drive_or_rescue(self) -> None:
         """Drive plans until one holds; if none does, plan the most promising subsets again."""
@@ -506,7 +477,7 @@ class Search:
         for node in self.open()[:RESCUED]:
             if self.best is None and not self.interrupted:
                 self.run(partial(rescue_node, deadline=self.deadline), [node], "further starts")
-        if self.best is not None and self.execution is None:
+        if self.best is not None and self.road.execution is None:
             self.drive()
 
     def _reopen(self) -> None:

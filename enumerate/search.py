@@ -150,10 +150,10 @@ def plan(
 
 def _result(search: Search, gap: float | None, timings: dict[str, float], begin: float) -> Result:
     """Sum up a finished or interrupted search."""
-    trip, done, account = search.setting.trip, search.execution, search.account
+    trip, done, account = search.setting.trip, search.road.execution, search.account
     report, replayed, instance, cost = None, None, None, inf
-    if done is not None and done.replay is not None and search.driven is not None:
-        instance = search.setting.instance(search.driven.row.subset)
+    if done is not None and done.replay is not None and search.road.node is not None:
+        instance = search.setting.instance(search.road.node.row.subset)
         report = make_report(trip, instance, done)
         replayed, cost = done.replay, done.replay.cost
     enough = DEFAULT_GAP if gap is None else gap

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
 from itertools import islice
 from typing import Any
@@ -12,7 +11,7 @@ import pytest
 from trips import small_trip
 
 from benchmarks.random_trips import random_trip
-from enumerate import Outcome, explore, plan
+from enumerate import Outcome, explore, plan, road
 from enumerate.ledger import Row
 from enumerate.subset import neighbours
 from enumerate.tasks import (
@@ -134,8 +133,7 @@ def test_if_every_plan_is_refused_those_of_further_starts_count(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """The first plan of the search is refused; those of the rescue are driven by the tasks."""
-    search = sys.modules["enumerate.explore"]
-    honest, refused = search.execute, []  # type: ignore[attr-defined]
+    honest, refused = road.execute, []
 
     def refuse(trip, instance, *rest):  # type: ignore[no-untyped-def]
         done = honest(trip, instance, *rest)
@@ -144,7 +142,7 @@ def test_if_every_plan_is_refused_those_of_further_starts_count(
         refused.append(instance.subset)
         return replace(done, reason="made up")
 
-    monkeypatch.setattr(search, "execute", refuse)
+    monkeypatch.setattr(road, "execute", refuse)
     trip = small_trip()
     result = plan(replace(trip, chargers=trip.chargers[:1]))
     rows = [r for r in result.ledger.rows if r.outcome is Outcome.PLANNED]
@@ -197,7 +195,7 @@ def test_the_stops_of_the_best_plan_are_left_out_one_by_one_and_no_neighbour_is_
         return done
 
     monkeypatch.setattr(explore, "refine_thinned", spy)
-    monkeypatch.setattr(explore, "execute", drive)
+    monkeypatch.setattr(road, "execute", drive)
     trip = load_trip("goteborg-stockholm-winter", overrides={"start.soc": 0.7})
     result = plan(trip)
     assert result.plan is not None and seen

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from enumerate import Outcome, Progress, Result, audit, explore, plan, save_proofs
+from enumerate import Outcome, Progress, Result, audit, explore, plan, road, save_proofs
 from relax import load_trip
 from relax.trip import Trip
 
@@ -113,7 +113,7 @@ def test_an_interrupt_within_the_family_loses_nothing(
 def test_a_refused_plan_opens_what_the_family_closed(
     warm: Result, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    execute, refused = explore.execute, []
+    execute, refused = road.execute, []
 
     def refuse(trip: Trip, instance: object, *rest: object) -> object:
         done = execute(trip, instance, *rest)  # type: ignore[arg-type]
@@ -122,7 +122,7 @@ def test_a_refused_plan_opens_what_the_family_closed(
             return replace(done, reason="for the test")
         return done
 
-    monkeypatch.setattr(explore, "execute", refuse)
+    monkeypatch.setattr(road, "execute", refuse)
     result = plan(WARM, gap=0.01, keep_proofs=True)
     assert refused and result.plan is not None
     assert result.ledger.counts()["total"] == 8 and result.lower_bound <= result.cost
