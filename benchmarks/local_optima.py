@@ -30,7 +30,7 @@ from relax.bound import relax_subset
 from relax.errors import InputError
 from relax.instance import Instance, make_drive, make_instance
 from relax.plan import Controls
-from relax.refinement import refine
+from relax.refinement import refine, refine_best
 from relax.relaxed_point import RelaxedPoint
 from relax.starts import (
     colder_start,
@@ -50,6 +50,8 @@ SOCS = (0.35, 0.45, 0.5, 0.55, 0.6, 0.65, 0.7, 0.8, 0.9)
 MAX_STOPS = 2
 FREE = ("even", "warm 10 °C", "warm 20 °C", "warm 30 °C, 0.5 h", "warm 30 °C, 1 h")
 """The first of ``further_starts``, by what they do; then come equal stops, split."""
+AHEAD = "relaxed or warm 20 °C, whichever is ahead"
+"""Both starts as the search uses them."""
 Costs = dict[str, float]
 Found = dict[tuple[int, ...], Costs]
 """Costs by start, by subset."""
@@ -72,9 +74,10 @@ def refined_costs(instance: Instance, point: RelaxedPoint | None) -> Costs:
         costs[name] = done.trajectory.cost if done.feasible else inf
         return done.controls
 
-    controls = cost_from(
-        "relaxed", even_start(instance) if point is None else relaxed_start(instance, point)
-    )
+    relaxed = even_start(instance) if point is None else relaxed_start(instance, point)
+    controls = cost_from("relaxed", relaxed)
+    both = refine_best(instance, [warmer_start(instance, even_start(instance)), relaxed])
+    costs[AHEAD] = both.trajectory.cost if both.feasible else inf
     cost_from("relaxed, then warmer", warmer_start(instance, controls))
     cost_from("relaxed, then colder", colder_start(controls))
     for k, start in enumerate(split_starts(instance, controls)):
@@ -113,7 +116,7 @@ def best_of_starts(trip: Trip, max_stops: int) -> Found:
 def _excesses(found: Sequence[Found]) -> Iterator[tuple[str, list[float]]]:
     """Yield kinds of starts and how far above the best of its choice each of them ended."""
     choices = [c for one in found for s, c in one.items() if len(s) > 1 and min(c.values()) < inf]
-    for name in ("relaxed", "relaxed, then warmer", "relaxed, then colder", *FREE):
+    for name in ("relaxed", AHEAD, "relaxed, then warmer", "relaxed, then colder", *FREE):
         yield name, [c[name] / min(c.values()) - 1.0 for c in choices]
 
 

@@ -39,6 +39,7 @@ PARTS: Mapping[str, tuple[str, ...]] = {
         "relax.starts.best_start",
         "relax.starts.split_starts",
         "relax.refinement.refine",
+        "relax.refinement.refine_best",
     ),
     "replay": ("relax.execute.execute", "relax.replay.replay", "relax.report.make_report"),
 }

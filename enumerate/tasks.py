@@ -6,6 +6,7 @@ Knows nothing of other subsets and of the order of the search.
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import islice
 from math import inf
@@ -18,7 +19,7 @@ from relax.execute import execute
 from relax.instance import Drive, Instance, make_instance
 from relax.plan import Controls
 from relax.proof import Step
-from relax.refinement import Refined, RefineSettings, best_of, refine
+from relax.refinement import Refined, RefineSettings, best_of, refine, refine_best
 from relax.relaxed_point import Optimum, RelaxedPoint
 from relax.simulate import Simulation
 from relax.starts import (
@@ -38,6 +39,7 @@ __all__ = [
     "Setting",
     "examine_leaf",
     "refine_apart",
+    "refine_from",
     "refine_node",
     "refine_point",
     "refine_splits",
@@ -124,12 +126,8 @@ def relax_node(setting: Setting, node: Node) -> Node:
     return Node(row, relaxed.point, steps=relaxed.steps, optimum=relaxed.optimum)
 
 
-def refine_node(
-    setting: Setting, node: Node, starts: list[Controls] | None = None, warm: bool = False
-) -> Node:
-    """Plan a subset from its relaxed point or from given starts; a better plan it has stays.
-
-    Unless it was refused when it was driven: then any plan that differs is better.
+def refine_node(setting: Setting, node: Node, warm: bool = False) -> Node:
+    """Plan a subset for the first time, from its relaxed point.
 
     Parameters
     ----------
@@ -137,35 +135,52 @@ def refine_node(
         What every task needs.
     node : Node
         The subset.
-    starts : list of Controls, optional
-        Instead of the relaxed point.
     warm : bool
-        Start from equal, warm stops where there are several; from the relaxed point if that
-        leads to no plan.
+        Where there are several stops, from equal, warm ones or from the relaxed point,
+        whichever is ahead after a few programs.
     """
     instance = setting.instance(node.row.subset)
-    first = starts is None
     simulation = Simulation(instance)
 
     def relaxed() -> Controls:
         return best_start(instance, node.point, node.row.lower_bound, simulation)
 
-    warm = warm and len(instance.stops) >= SEVERAL_STOPS
-    if starts is None:
-        starts = [warmer_start(instance, even_start(instance)) if warm else relaxed()]
+    def both() -> Iterator[Controls]:
+        yield warmer_start(instance, even_start(instance))
+        yield relaxed()
+
+    if warm and len(instance.stops) >= SEVERAL_STOPS:
+        found = [refine_best(instance, both(), setting.refine)]
+    else:
+        found = [refine(instance, relaxed(), setting.refine, simulation)]
+    if not found[0].feasible:  # may miss a limit by a hair
+        found.append(refine(instance, even_start(instance), setting.refine))
+    return _with_plan(node, found, instance)
+
+
+def refine_from(setting: Setting, node: Node, starts: list[Controls]) -> Node:
+    """Plan a subset from each of these starts; a better plan it has stays."""
+    instance = setting.instance(node.row.subset)
+    simulation = Simulation(instance)
     had = node.refined
     known = had.trajectory if had is not None and had.feasible else None
     found = [refine(instance, start, setting.refine, simulation, known) for start in starts]
-    if first and warm and not found[0].feasible:
-        found.append(refine(instance, relaxed(), setting.refine, simulation))
-    if first and not any(one.feasible for one in found):  # may miss a limit by a hair
-        found.append(refine(instance, even_start(instance), setting.refine))
-    refused = known is not None and node.row.outcome is Outcome.UNPROVED
+    return _with_plan(node, found, instance)
+
+
+def _with_plan(node: Node, found: list[Refined], instance: Instance) -> Node:
+    """Return a node with the best of its plan and those found.
+
+    Unless its plan was refused when it was driven: then any that differs is better.
+    """
+    had = node.refined
+    holds = had is not None and had.feasible
+    refused = holds and node.row.outcome is Outcome.UNPROVED
     candidates = [*([had] if had and not refused else []), *found]
     if not candidates:
         return node
     best = best_of(candidates, instance)
-    if had and known and not refused and known.cost < best.trajectory.cost:
+    if had and holds and not refused and had.trajectory.cost < best.trajectory.cost:
         best = had  # both hold; merit would prefer the dearer one for missing by less
     reason = node.row.reason if refused else "no feasible plan found, none disproved"
     row = replace(
@@ -188,7 +203,7 @@ def refine_splits(setting: Setting, node: Node) -> Node:
     assert node.refined is not None
     instance, controls = setting.instance(node.row.subset), node.refined.controls
     starts = [*split_starts(instance, controls), warmer_start(instance, controls)]
-    return refine_node(setting, node, starts)
+    return refine_from(setting, node, starts)
 
 
 def refine_apart(setting: Setting, node: Node) -> Node:
@@ -198,7 +213,7 @@ def refine_apart(setting: Setting, node: Node) -> Node:
     starts = [warmer_start(instance, controls), colder_start(controls), even_start(instance)]
     if len(instance.stops) >= SEVERAL_STOPS and node.point is not None:
         starts.append(relaxed_start(instance, node.point))
-    return refine_node(setting, node, starts)
+    return refine_from(setting, node, starts)
 
 
 def refine_thinned(setting: Setting, node: Node, plan: Node) -> Node:
@@ -207,7 +222,7 @@ def refine_thinned(setting: Setting, node: Node, plan: Node) -> Node:
     chargers = [stop.charger for stop in setting.instance(plan.row.subset).stops]
     (left_out,) = set(chargers) - set(node.row.subset)
     starts = thinned_starts(plan.refined.controls, chargers.index(left_out))
-    return refine_node(setting, node, starts)
+    return refine_from(setting, node, starts)
 
 
 def rescue_node(setting: Setting, node: Node, deadline: float = inf) -> Node:
@@ -232,4 +247,4 @@ def refine_point(setting: Setting, node: Node) -> Node:
     """Plan a subset again, from the relaxed point it carries."""
     assert node.point is not None
     instance = setting.instance(node.row.subset)
-    return refine_node(setting, node, [relaxed_start(instance, node.point)])
+    return refine_from(setting, node, [relaxed_start(instance, node.point)])

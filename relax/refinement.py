@@ -1,4 +1,4 @@
-"""Owns the search for a locally optimal plan of one subset.
+"""Owns the search for a locally optimal plan of one subset, from one start or from several.
 
 An approximation: it suggests plans and never proves anything. Method and what
 failed: docs/refinement.md.
@@ -15,11 +15,14 @@ from relax.instance import Instance
 from relax.plan import Controls, Trajectory
 from relax.simulate import Simulation
 
-__all__ = ["RefineSettings", "Refined", "best_of", "refine"]
+__all__ = ["RefineSettings", "Refined", "best_of", "refine", "refine_best"]
 
 DEARER = (10.0, 100.0)
 """Multiples of the penalties with which a search goes on that ended beyond a limit: where only
 time keeps a battery cool, a kelvin may be worth more than any energy."""
+HEAT = 4
+"""Programs after which starts are compared: with two the better one is left more often, with six
+hardly less often."""
 
 
 def refine(
@@ -69,6 +72,45 @@ def _finish(descent: Descent) -> Refined:
         return found
     nearest = min(first, found, key=lambda r: float(r.trajectory.violation.max()))
     return replace(nearest, programs=found.programs)
+
+
+def refine_best(
+    instance: Instance, starts: Iterable[Controls], settings: RefineSettings | None = None
+) -> Refined:
+    """Improve the most promising of several controls to a locally optimal plan.
+
+    Each is improved by a few programs; then the one of least merit to its end, and the
+    others in turn as long as none keeps the limits. A start that ends within these few, above
+    ``settings.hopeless``, settles it: those after it are not tried.
+
+    Parameters
+    ----------
+    instance : Instance
+        Subset and grid.
+    starts : iterable of Controls
+        At least one.
+    settings : RefineSettings, optional
+        When to stop and how to solve.
+
+    Returns
+    -------
+    Refined
+        The best iterate; its programs are those of all starts.
+    """
+    settings = settings or RefineSettings()
+    descents: list[Descent] = []
+    for start in starts:
+        descents.append(Descent(Simulation(instance), start, settings))
+        now = descents[-1].run(min(HEAT, settings.max_programs))
+        if descents[-1].ended and now.feasible and now.trajectory.cost > settings.hopeless:
+            break
+    order = sorted(descents, key=lambda descent: descent.value)
+    ends: list[Refined] = []
+    while len(ends) < len(order) and not (ends and ends[-1].feasible):
+        ends.append(_finish(order[len(ends)]))
+    left = [descent.found for descent in order[len(ends) :]]
+    programs = sum(run.programs for run in [*ends, *left])
+    return replace(best_of(ends, instance), programs=programs)
 
 
 def best_of(candidates: Iterable[Refined], instance: Instance) -> Refined:

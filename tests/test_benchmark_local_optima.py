@@ -6,7 +6,7 @@ from math import inf
 
 import pytest
 
-from benchmarks.local_optima import FREE, best_of_starts, main
+from benchmarks.local_optima import AHEAD, FREE, best_of_starts, main
 from enumerate import plan
 from relax import load_trip
 
@@ -19,7 +19,8 @@ def test_a_plan_is_compared_with_the_best_of_many_starts(
     (row,) = plans.splitlines()[2:]
     assert abs(float(row.strip("| ").split("|")[-1].strip(" %"))) < 0.05
     rows = [line.strip("|").split("|") for line in kinds.splitlines()[2:]]
-    assert [cells[0].strip() for cells in rows][3:] == list(FREE)
+    names = [cells[0].strip() for cells in rows]
+    assert names[:2] == ["relaxed", AHEAD] and names[4:] == list(FREE)
     assert all(0.0 <= float(c[2].strip(" %")) <= float(c[3].strip(" %")) + 0.05 for c in rows)
 
 
@@ -33,6 +34,8 @@ def test_choices_that_cannot_be_the_best_are_left_out_and_no_start_beats_a_bound
     for subset, costs in found.items():
         assert min(costs.values()) >= bounds.get(subset, -inf)
         assert {"relaxed", *FREE} <= set(costs)
+        both = (costs["relaxed"], costs["warm 20 °C"])
+        assert any(costs[AHEAD] == pytest.approx(cost, rel=1e-6) for cost in both)
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -25,6 +27,7 @@ from relax import (
 from relax.completion import complete, merit, penalty_prices
 from relax.descent import SAME_PLACE, Descent
 from relax.instance import MIN_CHARGE_KWH
+from relax.refinement import HEAT, Refined, refine_best
 from relax.simulate import FEASIBLE, Simulation, is_feasible
 from relax.starts import even_start, split_starts, warmer_start
 
@@ -55,6 +58,67 @@ def test_a_descent_that_pauses_ends_where_one_does_that_does_not(name: str, paus
     without = refine(instance, even_start(instance))
     assert found.trajectory.cost == pytest.approx(without.trajectory.cost, rel=1e-9)
     assert most >= found.programs == without.programs > pause
+
+
+def two_starts(instance: Instance) -> list[Controls]:
+    """Return a warm start and one that splits the energy badly."""
+    even = even_start(instance)
+    return [warmer_start(instance, even), split_starts(instance, even)[-1]]
+
+
+@pytest.mark.parametrize("name", ["two stops", "winter", "summer"])
+def test_of_several_starts_the_one_that_is_ahead_is_refined(name: str) -> None:
+    """Whatever is refined is what that start alone leads to; the other takes a few programs."""
+    instance = CASES[name]
+    starts = two_starts(instance)
+    found = refine_best(instance, starts)
+    searches = [Descent(Simulation(instance), start, RefineSettings()) for start in starts]
+    for search in searches:
+        search.run(HEAT)
+    ahead, behind = np.argsort([search.value for search in searches])
+    alone = refine(instance, starts[ahead])
+    assert found.feasible and found.trajectory.cost == pytest.approx(alone.trajectory.cost)
+    assert found.programs == alone.programs + searches[behind].programs
+
+
+def test_where_the_start_that_is_ahead_leads_to_no_plan_the_next_does(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    instance = CASES["winter"]
+    barren, other = two_starts(instance)
+
+    class Barren(Descent):
+        """Ahead of all others, and beyond a limit to the end."""
+
+        def __init__(self, *given: Any, **named: Any) -> None:
+            super().__init__(*given, **named)
+            self.barren = self.start is barren or self.weight > 1.0
+            self.value -= 1e6 * self.barren
+
+        @property
+        def found(self) -> Refined:
+            return replace(super().found, feasible=super().found.feasible and not self.barren)
+
+    monkeypatch.setattr("relax.refinement.Descent", Barren)
+    found = refine_best(instance, [barren, other])
+    assert found.feasible
+    assert found.trajectory.cost == pytest.approx(refine(instance, other).trajectory.cost)
+
+
+def test_a_start_that_ends_above_the_cost_to_beat_settles_it() -> None:
+    instance, optimum = CASES["winter"], refined("winter")
+    tried: list[Controls] = []
+
+    def starts() -> Iterator[Controls]:
+        for start in (optimum.controls, *two_starts(instance)):
+            tried.append(start)
+            yield start
+
+    cost = optimum.trajectory.cost
+    found = refine_best(instance, starts(), RefineSettings(hopeless=0.9 * cost))
+    assert len(tried) == 1 and found.trajectory.cost == pytest.approx(cost)
+    refine_best(instance, starts(), RefineSettings(hopeless=1.1 * cost))
+    assert len(tried) == 4
 
 
 @pytest.mark.parametrize("name", CASES)

@@ -166,8 +166,7 @@ def test_a_subset_is_planned_from_the_plan_of_one_charger_more(left_out: int) ->
     setting = Setting(trip, make_drive(trip, trip.grid.step_km), trip.grid, RefineSettings())
     rest = tuple(c for c in range(3) if c != left_out)
     more, alone = (
-        refine_node(setting, Node(Row(subset, Outcome.UNPROVED)), starts=None)
-        for subset in ((0, 1, 2), rest)
+        refine_node(setting, Node(Row(subset, Outcome.UNPROVED))) for subset in ((0, 1, 2), rest)
     )
     found = refine_thinned(setting, Node(Row(rest, Outcome.UNPROVED)), more)
     assert found.row.outcome is Outcome.PLANNED and found.row.subset == rest
@@ -251,25 +250,6 @@ def test_in_the_cold_a_warm_start_beats_the_relaxed_optimum(
     starts += islice(further_starts(instance), 5)  # even and warm: they owe nothing to the plan
     others = [refine(instance, start).trajectory.cost for start in starts]
     assert again.row.cost <= min(warm.row.cost, *others) * (1.0 + 1e-9)
-
-
-def test_where_a_warm_start_leads_to_no_plan_the_relaxed_optimum_does(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    trip = small_trip()
-    setting = Setting(trip, make_drive(trip, trip.grid.step_km), trip.grid, RefineSettings())
-    relaxed = relax_subset(setting.instance((0, 1)))
-    node = Node(Row((0, 1), Outcome.UNPROVED, lower_bound=relaxed.lower_bound), relaxed.point)  # type: ignore[arg-type]
-    started: list[Any] = []
-
-    def first_fails(instance: Instance, start: Any, *rest: Any) -> Refined:
-        started.append(start)
-        return replace(refine(instance, start, *rest), feasible=len(started) > 1)
-
-    monkeypatch.setattr("enumerate.tasks.refine", first_fails)
-    found = refine_node(setting, node, warm=True)
-    assert found.row.outcome is Outcome.PLANNED and len(started) == 2
-    assert started[0].heater_kw.any() and not np.array_equal(*(s.heater_kw for s in started))
 
 
 def test_a_colder_start_heats_no_battery_and_leaves_the_rest() -> None:

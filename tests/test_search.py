@@ -18,7 +18,7 @@ from benchmarks.random_trips import random_trip
 from enumerate import Outcome, Progress, Result, Status, plan, road
 from enumerate.ledger import Row
 from enumerate.show import format_result
-from enumerate.tasks import Node, Setting, refine_node, relax_node
+from enumerate.tasks import Node, Setting, refine_from, refine_node, relax_node
 from relax import load_trip, make_drive, make_instance, refine
 from relax.refinement import RefineSettings
 from relax.starts import even_start
@@ -135,15 +135,19 @@ def test_with_a_gap_asked_for_the_search_goes_on_without_a_plan(
 ) -> None:
     """What is left of boxes after cutting tells where to start, if other starts lead nowhere."""
     tasks = sys.modules["enumerate.tasks"]
-    honest, calls, lead_nowhere = tasks.refine, 0, 10**9  # type: ignore[attr-defined]
+    calls, lead_nowhere = 0, 10**9
 
-    def refine(*given):  # type: ignore[no-untyped-def]
-        nonlocal calls
-        calls += 1
-        found = honest(*given)
-        return replace(found, feasible=found.feasible and calls > lead_nowhere)
+    def spoil(honest):  # type: ignore[no-untyped-def]
+        def spoilt(*given):  # type: ignore[no-untyped-def]
+            nonlocal calls
+            calls += 1
+            found = honest(*given)
+            return replace(found, feasible=found.feasible and calls > lead_nowhere)
 
-    monkeypatch.setattr(tasks, "refine", refine)
+        return spoilt
+
+    for name in ("refine", "refine_best"):
+        monkeypatch.setattr(tasks, name, spoil(getattr(tasks, name)))
     assert plan(small_trip()).status is Status.UNKNOWN
     calls, lead_nowhere = 0, calls
     found = plan(small_trip(), gap=0.05)
@@ -276,8 +280,8 @@ def test_a_refused_plan_is_planned_again_only_by_another(serial: Result) -> None
     node = refine_node(setting, relax_node(setting, Node(Row((1,), Outcome.UNPROVED))))
     assert node.row.outcome is Outcome.PLANNED and node.refined is not None
     refused = replace(node, row=replace(node.row, outcome=Outcome.UNPROVED, cost=inf, reason="no"))
-    assert refine_node(setting, refused, []).row is refused.row
-    other = refine_node(setting, refused, [even_start(setting.instance((1,)))])
+    assert refine_from(setting, refused, []).row is refused.row
+    other = refine_from(setting, refused, [even_start(setting.instance((1,)))])
     assert other.row.outcome is Outcome.PLANNED and other.refined is not node.refined
 
 
