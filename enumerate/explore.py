@@ -1,12 +1,11 @@
-"""Owns the search over all charger subsets: relax, order, refine, drive, prove, account.
+"""Owns the search for plans over all charger subsets: relax, order, refine, drive, account.
 
 With few chargers every subset is relaxed, which bounds it or proves it infeasible, or all
 with more than one stop together; those whose bound is below the best plan are refined,
 most promising first. With many, families of subsets are relaxed together, and what their
 optima use is refined, with its neighbours. The best plan is driven on the continuous
-model; families and subsets that could be better are cut and bounded until the gap is
-proved. Work is done in batches whose size does not depend on the number of workers, so
-neither does the result. Knows no solver.
+model. To prove a gap is the work of ``proving``. Batches have a size that does not depend
+on the number of workers, so neither does the result. Knows no solver.
 """
 
 from __future__ import annotations
@@ -19,13 +18,10 @@ from functools import partial
 from math import inf
 
 from enumerate.account import Account
-from enumerate.gap import closing_cost, is_close, is_closed
+from enumerate.gap import is_close, is_closed
 from enumerate.ledger import Outcome, Row
 from enumerate.pool import run_in_order
 from enumerate.road import Road
-from enumerate.stage_graph import StageGraph
-from enumerate.stage_parts import StageStep
-from enumerate.stage_search import StageSearch
 from enumerate.subset import Subset, all_subsets, neighbours
 from enumerate.tasks import (
     Node,
@@ -33,7 +29,6 @@ from enumerate.tasks import (
     examine_leaf,
     refine_apart,
     refine_node,
-    refine_point,
     refine_splits,
     refine_thinned,
     relax_node,
@@ -58,27 +53,9 @@ FURTHER, FURTHER_WITHIN = 3, 0.02
 """Cheapest subsets that get further starts where there are many chargers, and how near to the best
 they are: from Goteborg to Stockholm in winter, with a start at 35 %, the best stops were third
 before, 1.4 % above the cheapest."""
-STAGES_STOPS = 3
-"""All plans are bounded together, stage by stage, if the best has this many stops: cutting a
-subset multiplies over its stops. With 20 or 24 chargers and one stop, stages gained nothing in
-30 s and took four times the memory of families (``benchmarks.scale``)."""
-MOST_PATHS = 4
-"""Subsets planned because a path of stages used them."""
 BATCH = 4
 """Subsets handled before the best plan is updated; fixed, so that any number of workers closes
 the same ones."""
-PROOF_BATCH = 16
-"""Leaves of a proof examined at once are a quarter of the open ones, between ``BATCH`` and this:
-nearly all have to be closed anyway, and leaves take very different times, so that of a few one
-worker would wait for the other."""
-PATHS_EVERY = 8
-"""Paths of stages of which one is planned: most change little."""
-STAGE_NEAR = 0.03
-"""Share of the cost that is missing when paths of stages begin to be planned."""
-LEAF_STARTS = 2
-"""Starts that a proof may add for one subset."""
-FIRST_STARTS = 8
-"""The same as long as there is no plan."""
 SAME = 1e-4
 """Relative rise of a plan's cost by repairs that reopens what was closed against it."""
 OPENING = 12
@@ -166,7 +143,7 @@ class Search:
         done = 0
         while nodes and not self.interrupted and self.cost >= enough:
             batch, nodes = nodes[:BATCH], nodes[BATCH:]
-            bound = partial(task, self._setting_now())
+            bound = partial(task, self.setting_now())
             for node in run_in_order(self.executor, bound, batch):
                 if task is relax_node:
                     self.account.root(node.row, node.steps)
@@ -175,16 +152,17 @@ class Search:
                     node = replace(node, optimum=None)
                 self.nodes[node.row.subset] = node
                 done += 1
-                self._tell(phase, done, done + len(nodes))
+                self.tell(phase, done, done + len(nodes))
             if phase.startswith("refine"):
                 nodes = [n for n in nodes if not self._close(n)]
-            self._look_at_clock()
+            self.look_at_clock()
 
-    def _look_at_clock(self) -> None:
+    def look_at_clock(self) -> None:
+        """Interrupt the search if time is up."""
         if time.perf_counter() > self.deadline:
             self.interrupted = "time limit reached"
 
-    def _setting_now(self) -> Setting:
+    def setting_now(self) -> Setting:
         """Return the setting of the next batch: what cannot beat the best plan ends earlier."""
         return replace(self.setting, refine=replace(self.setting.refine, hopeless=self.cost))
 
@@ -198,7 +176,8 @@ class Search:
         self.nodes[row.subset] = replace(node, row=row)
         return True
 
-    def _tell(self, phase: str, done: int, total: int) -> None:
+    def tell(self, phase: str, done: int, total: int) -> None:
+        """Report where the search stands."""
         if self.report is not None:
             bound = self.account.open_bound
             if bound == inf or (self.single and not self.proving):  # subsets speak for themselves
@@ -209,13 +188,13 @@ class Search:
         """Bound every subset, or families of them; plan a promising one as soon as it is known."""
         if not self.single:
             for k in range(MAX_OPENING // BATCH):
-                if self.interrupted or not self._examine_batch(inf, BATCH, families=True):
+                if self.interrupted or not self.examine_batch(inf, BATCH, families=True):
                     break
                 if k + 1 >= OPENING // BATCH:
-                    self._plan_new([*self.account.suggestions(), *self.account.decided()])
+                    self.plan_new([*self.account.suggestions(), *self.account.decided()])
                     if self.best is not None:
                         return
-            self._plan_new(self.account.decided())
+            self.plan_new(self.account.decided())
             return
         nodes = self.open()
         self.run(relax_node, [n for n in nodes if len(n.row.subset) <= 1], "relax")
@@ -247,7 +226,7 @@ class Search:
             return rest
         every = tuple(range(self.n_chargers))
         leaf = Leaf((), every, -inf, None, (2, self.n_chargers))
-        done = examine_leaf(self._setting_now(), leaf, inf, self.deadline)
+        done = examine_leaf(self.setting_now(), leaf, inf, self.deadline)
         if done.infeasible or not is_closed(done.bound, self.cost):  # each says why it is
             self.account.programs += done.programs
             return rest
@@ -259,13 +238,6 @@ class Search:
             self.nodes[row.subset] = replace(node, row=row)
         self.together = frozenset(n.row.subset for n in nodes)
         return []
-
-    @property
-    def by_stages(self) -> bool:
-        """Whether all plans are bounded together; stages know no limit of all stops' time."""
-        stops = 0 if self.best is None else len(self.best.row.subset)
-        limited = self.setting.trip.stop_time_h < inf
-        return not self.single and stops >= STAGES_STOPS and not limited
 
     def refine(self, prune: bool) -> None:
         """Plan the subsets that may be better than the best plan, most promising first."""
@@ -305,7 +277,7 @@ class Search:
             before = self.cost
             self._thin(plan)
             if self.cost == before:
-                self._plan_new(neighbours(plan.row.subset, order), enough=before)
+                self.plan_new(neighbours(plan.row.subset, order), enough=before)
 
     def _thin(self, plan: Node) -> None:
         """Plan what is left of a plan's stops without each of them, from the plan itself.
@@ -325,7 +297,7 @@ class Search:
         fresh = [s for s in dict.fromkeys(subsets) if s not in self.nodes]
         self.run(relax_node, [Node(Row(s, Outcome.UNPROVED)) for s in fresh], "relax")
 
-    def _plan_new(self, subsets: Iterable[Subset], enough: float = -inf) -> None:
+    def plan_new(self, subsets: Iterable[Subset], enough: float = -inf) -> None:
         """Relax and refine subsets not planned before, until a plan costs less than enough."""
         near = list(dict.fromkeys(subsets))
         self._relax_new(near)
@@ -335,95 +307,19 @@ class Search:
         nodes.sort(key=lambda n: n.row.lower_bound)
         self.run(partial(refine_node, warm=True), nodes, "refine", enough)
 
-    def prove(self, gap: float) -> None:
-        """Cut and bound whatever could be cheaper than the driven plan by more than the gap.
-
-        Without a plan, whatever is not infeasible: what is left of it tells where to start again.
-        """
-        self.proving = True
-        if self.road.execution is not None and self.by_stages:
-            self._prove_by_stages(gap)
-        if self.single:
-            self.account.plant(
-                Leaf(s, (), n.row.lower_bound, None, (len(s), len(s)), known=self.optima.get(s))
-                for s, n in self.nodes.items()
-                if n.row.outcome is not Outcome.INFEASIBLE and s not in self.together
-            )
-        while not self.interrupted:
-            cutoff = inf if self.road.execution is None else self._cutoff(gap)
-            most = min(max(self.account.n_open // 4, BATCH), PROOF_BATCH)
-            examined = self._examine_batch(cutoff, most)
-            if not examined:
-                return
-            self._plan_leaves([e for e in examined if not e.leaf.undecided and not e.closed])
-            if self.best is not None and self.road.is_new(self.best):
-                self.drive()
-
-    def _cutoff(self, gap: float) -> float:
-        """Return the cost from which on a bound closes, for the driven plan.
-
-        No bound exceeds what any plan costs on the grid.
-        """
-        done = self.road.execution
-        assert done is not None and done.replay is not None  # plans that do not hold are refused
-        return closing_cost(done.replay.cost, gap, min(done.trajectory.cost, self.cost))
-
-    def _prove_by_stages(self, gap: float) -> None:
-        """Bound all plans at once, stage by stage; plan what the cheapest paths use."""
-        family = self.setting.instance((), tuple(range(self.n_chargers)))
-        graph = StageGraph(family, self._cutoff(gap))
-        stages = StageSearch(graph, self.deadline)
-        tried: set[Subset] = set()
-        paths = 0
-        try:
-            for share in stages.run():
-                self.account.stage_bound = graph.lower_bound
-                self._tell("stages, % of the gap", int(100.0 * share), 100)
-                subset = tuple(sorted(family.stops[i].charger for i in stages.path))
-                paths += graph.closing - graph.bound < STAGE_NEAR * abs(graph.closing)
-                if paths % PATHS_EVERY == 1 and subset not in tried and len(tried) < MOST_PATHS:
-                    tried.add(subset)
-                    self._plan_new([subset])
-                    if self.best is not None and self.road.is_new(self.best):
-                        self.drive()
-                    if self._cutoff(gap) < graph.closing:
-                        graph.apply(StageStep("closing", value=self._cutoff(gap)))
-        finally:
-            self.account.enter_stages(graph, stages.programs)
-        self._look_at_clock()
-
-    def _plan_leaves(self, left: list[Examined]) -> None:
-        """Plan subsets that a proof met and could not close, and start again from what it knows.
-
-        A tightened relaxation's optimum is often nearer to the best plan than any other start.
-        """
-        self._plan_new(e.leaf.subset for e in left)
-        again = []
-        for done in left:
-            node = self.nodes.get(done.leaf.subset)  # none if time is up
-            most = FIRST_STARTS if self.road.execution is None else LEAF_STARTS
-            if node is None or done.point is None or node.starts >= most:
-                continue
-            # a subset without a plan may have one that other starts missed
-            if node.row.outcome is Outcome.UNPROVED or is_close(node.row.cost, self.cost):
-                node = replace(node, point=done.point, starts=node.starts + 1)
-                self.nodes[done.leaf.subset] = node
-                again.append(node)
-        self.run(refine_point, again, "further starts")
-
-    def _examine_batch(self, cutoff: float, most: int, families: bool = False) -> list[Examined]:
+    def examine_batch(self, cutoff: float, most: int, families: bool = False) -> list[Examined]:
         """Examine the open leaves of least bound."""
         leaves = self._take(most, cutoff, families)
-        task = partial(examine_leaf, self._setting_now(), cutoff=cutoff, deadline=self.deadline)
+        task = partial(examine_leaf, self.setting_now(), cutoff=cutoff, deadline=self.deadline)
         examined: list[Examined] = []
         try:
             for done in run_in_order(self.executor, task, leaves):
                 self.account.enter(done, cutoff)
                 examined.append(done)
-                self._tell("relax" if families else "prove", *self.account.progress)
+                self.tell("relax" if families else "prove", *self.account.progress)
         finally:  # an interrupt loses no leaf
             self.account.put_back(leaves[len(examined) :])
-        self._look_at_clock()
+        self.look_at_clock()
         return examined
 
     def _take(self, most: int, cutoff: float, families: bool) -> list[Leaf]:

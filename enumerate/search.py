@@ -17,6 +17,7 @@ from enumerate.evidence import StageProof
 from enumerate.explore import FEW_CHARGERS, Progress, Search
 from enumerate.gap import DEFAULT_GAP, closing_cost, is_proved
 from enumerate.ledger import Ledger, Outcome
+from enumerate.proving import prove
 from enumerate.result import Result, Status
 from enumerate.tasks import Setting
 from relax.instance import make_drive
@@ -134,7 +135,7 @@ def plan(
             ("replay", search.drive_or_rescue),
         ]
         if gap is not None:
-            phases.append(("prove", lambda: search.prove(gap)))
+            phases.append(("prove", lambda: prove(search, gap)))
         for name, phase in phases:
             if search.interrupted and name != "replay":
                 continue

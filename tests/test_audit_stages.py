@@ -31,7 +31,7 @@ Steps = tuple[StageStep, ...]
 @pytest.fixture(scope="module")
 def result() -> Result:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("enumerate.explore.Search.by_stages", True)
+        patch.setattr("enumerate.proving.by_stages", lambda search: True)
         return plan(TRIP, gap=0.02, keep_proofs=True)
 
 
@@ -134,7 +134,7 @@ def test_what_an_interrupted_search_says_is_confirmed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, most: int
 ) -> None:
     """Ctrl-C in the middle of a step, when an arc has just gone: its parts are there."""
-    monkeypatch.setattr("enumerate.explore.Search.by_stages", True)
+    monkeypatch.setattr("enumerate.proving.by_stages", lambda search: True)
     drop, count = StageGraph._drop, [0]
 
     def interrupted(self: StageGraph, arc: Arc) -> None:
