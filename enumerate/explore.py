@@ -15,7 +15,8 @@ from collections.abc import Callable, Iterable
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from functools import partial
-from math import inf
+from itertools import combinations
+from math import comb, inf
 
 from enumerate.account import Account
 from enumerate.gap import is_close, is_closed
@@ -53,6 +54,10 @@ FURTHER, FURTHER_WITHIN = 3, 0.02
 """Cheapest subsets that get further starts where there are many chargers, and how near to the best
 they are: from Goteborg to Stockholm in winter, with a start at 35 %, the best stops were third
 before, 1.4 % above the cheapest."""
+FEW_ALIKE, MOST_ALIKE = 40, 4
+"""Choices of as many stops as the best plan has, up to which all are bounded after a climb, and
+how many of those not planned yet are: eight chargers have 28 pairs. From Goteborg to Stockholm in
+winter, with a start at 65 %, no climb met the best pair, 0.6 % cheaper than what it ended at."""
 BATCH = 4
 """Subsets handled before the best plan is updated; fixed, so that any number of workers closes
 the same ones."""
@@ -250,6 +255,7 @@ class Search:
             self.run(refine_splits, close, "further starts")
             return
         self._climb()
+        self._look_around()
         tried: set[Subset] = set()
         while (best := self.best) is not None and not self.interrupted:
             close = [n for n in self._planned() if is_close(n.row.cost, self.cost, FURTHER_WITHIN)]
@@ -258,6 +264,23 @@ class Search:
             tried.update(n.row.subset for n in close)
             if self.best is None or self.best.row.subset == best.row.subset:
                 break
+            self._climb()
+
+    def _look_around(self) -> None:
+        """Plan the most promising choices of as many stops as the best has, and climb on.
+
+        A climb moves one stop at a time, and leaves what it has not tried at the first better one.
+        """
+        best = self.best
+        if best is None or comb(self.n_chargers, len(best.row.subset)) > FEW_ALIKE:
+            return
+        alike = list(combinations(range(self.n_chargers), len(best.row.subset)))
+        self._relax_new(alike)
+        nodes = [self.nodes[s] for s in alike if s in self.nodes]
+        fresh = [n for n in nodes if n.refined is None and n.row.outcome is not Outcome.INFEASIBLE]
+        fresh.sort(key=lambda n: n.row.lower_bound)
+        self.plan_new(n.row.subset for n in fresh[:MOST_ALIKE])
+        if self.best is not best:
             self._climb()
 
     def _planned(self) -> list[Node]:

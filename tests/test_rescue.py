@@ -213,6 +213,21 @@ def test_the_stops_of_the_best_plan_are_left_out_one_by_one_and_no_neighbour_is_
     assert {row.subset for row in left} <= {subset for *_, subset in holding}
 
 
+def test_a_choice_that_no_climb_met_is_found_where_choices_are_few(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    trip = load_trip("goteborg-stockholm-winter", overrides={"start.soc": 0.65})
+    result = plan(trip)
+    stops = min(result.ledger.rows, key=lambda row: row.cost).subset
+    pairs = [row for row in result.ledger.rows if len(row.subset) == 2 and not row.undecided]
+    assert len(stops) == 2 and len(pairs) == 28  # each by itself
+    promising = sorted(pairs, key=lambda row: row.lower_bound)[: explore.MOST_ALIKE]
+    assert all(row.outcome is not Outcome.UNPROVED for row in promising)
+    monkeypatch.setattr(explore, "FEW_ALIKE", 27)
+    without = plan(trip)
+    assert result.transcribed_cost < 0.995 * without.transcribed_cost
+
+
 def test_a_plan_that_heats_too_little_is_planned_again_from_a_warmer_one() -> None:
     """On kinks of the charge limit a little more heat gains nothing, much more 0.4 %."""
     changes = {"vehicle.heat_pump_kw": 0.0, "objective.time_value_per_h": 400.0}
