@@ -49,11 +49,6 @@ __all__ = [
 ]
 
 
-SEVERAL_STOPS = 2
-"""With this many stops local optima differ by up to 8 % where it is cold, and the relaxed optimum,
-whose losses heat the battery for nothing, leads to poor ones."""
-
-
 @dataclass(frozen=True)
 class Setting:
     """What every task needs; picklable.
@@ -136,8 +131,9 @@ def refine_node(setting: Setting, node: Node, warm: bool = False) -> Node:
     node : Node
         The subset.
     warm : bool
-        Where there are several stops, from equal, warm ones or from the relaxed point,
-        whichever is ahead after a few programs.
+        From equal, warm stops or from the relaxed point, whichever is ahead after a few
+        programs: the losses of a relaxed optimum heat the battery for nothing, which in the
+        cold leads to poor local optima.
     """
     instance = setting.instance(node.row.subset)
     simulation = Simulation(instance)
@@ -149,7 +145,7 @@ def refine_node(setting: Setting, node: Node, warm: bool = False) -> Node:
         yield warmer_start(instance, even_start(instance))
         yield relaxed()
 
-    if warm and len(instance.stops) >= SEVERAL_STOPS:
+    if warm and instance.stops:
         found = [refine_best(instance, both(), setting.refine)]
     else:
         found = [refine(instance, relaxed(), setting.refine, simulation)]
@@ -211,7 +207,7 @@ def refine_apart(setting: Setting, node: Node) -> Node:
     assert node.refined is not None
     instance, controls = setting.instance(node.row.subset), node.refined.controls
     starts = [warmer_start(instance, controls), colder_start(controls), even_start(instance)]
-    if len(instance.stops) >= SEVERAL_STOPS and node.point is not None:
+    if node.point is not None:
         starts.append(relaxed_start(instance, node.point))
     return refine_from(setting, node, starts)
 
