@@ -38,6 +38,7 @@ __all__ = [
     "Node",
     "Setting",
     "examine_leaf",
+    "refine_afresh",
     "refine_apart",
     "refine_from",
     "refine_node",
@@ -210,6 +211,13 @@ def refine_apart(setting: Setting, node: Node) -> Node:
     if node.point is not None:
         starts.append(relaxed_start(instance, node.point))
     return refine_from(setting, node, starts)
+
+
+def refine_afresh(setting: Setting, node: Node) -> Node:
+    """Plan a subset again, from equal stops, warm and without heating, whatever its plan is."""
+    instance = setting.instance(node.row.subset)
+    even = even_start(instance)
+    return refine_from(setting, node, [warmer_start(instance, even), even])
 
 
 def refine_thinned(setting: Setting, node: Node, plan: Node) -> Node:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import islice
+from math import inf
 from typing import Any
 
 import numpy as np
@@ -226,6 +227,23 @@ def test_a_choice_that_no_climb_met_is_found_where_choices_are_few(
     monkeypatch.setattr(explore, "FEW_ALIKE", 27)
     without = plan(trip)
     assert result.transcribed_cost < 0.995 * without.transcribed_cost
+
+
+@pytest.mark.parametrize("seed", [90, 126, 234])
+def test_with_few_chargers_a_poor_local_optimum_is_left_where_the_bound_is_far_below(
+    seed: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    trip = random_trip(seed)
+    result = plan(trip)
+    cheapest = min(row.cost for row in result.ledger.rows)
+    for row in result.ledger.rows:
+        instance = make_instance(trip, row.subset)
+        even = even_start(instance)
+        for start in (even, warmer_start(instance, even)) if row.cost < inf else ():
+            done = refine(instance, start)
+            assert not done.feasible or cheapest <= done.trajectory.cost * (1.0 + 5e-3)
+    monkeypatch.setattr(explore, "FAR_BELOW", inf)
+    assert cheapest < 0.97 * min(row.cost for row in plan(trip).ledger.rows)
 
 
 def test_a_plan_that_heats_too_little_is_planned_again_from_a_warmer_one() -> None:
