@@ -19,12 +19,13 @@ from itertools import combinations
 from math import comb, inf
 
 from enumerate.account import Account
-from enumerate.gap import is_close, is_closed
+from enumerate.gap import is_close, is_closed, may_gain
 from enumerate.ledger import Outcome, Row
 from enumerate.pool import run_in_order
 from enumerate.road import Road
 from enumerate.subset import Subset, all_subsets, neighbours
 from enumerate.tasks import (
+    WORTH_A_START,
     Node,
     Setting,
     examine_leaf,
@@ -258,8 +259,7 @@ class Search:
             self.run(refine_node, self.open(), "refine" if prune else "plan all")
             close = [n for n in self._planned() if is_close(n.row.cost, self.cost)]
             self.run(refine_splits, close, "further starts")
-            least = self.cost - FAR_BELOW * abs(self.cost)
-            far = [n for n in self._planned() if n.row.lower_bound < least]
+            far = self._promising(self._planned(), FAR_BELOW)
             self.run(refine_afresh, far, "further starts")
             return
         self._climb()
@@ -267,7 +267,8 @@ class Search:
         tried: set[Subset] = set()
         while (best := self.best) is not None and not self.interrupted:
             close = [n for n in self._planned() if is_close(n.row.cost, self.cost, FURTHER_WITHIN)]
-            close = [n for n in close[:FURTHER] if n.row.subset not in tried]
+            close = self._promising(close[:FURTHER], WORTH_A_START)
+            close = [n for n in close if n.row.subset not in tried]
             self.run(refine_apart, close, "further starts")
             tried.update(n.row.subset for n in close)
             if self.best is None or self.best.row.subset == best.row.subset:
@@ -290,6 +291,10 @@ class Search:
         self.plan_new(n.row.subset for n in fresh[:MOST_ALIKE])
         if self.best is not best:
             self._climb()
+
+    def _promising(self, nodes: list[Node], share: float) -> list[Node]:
+        """Return the nodes whose bound leaves this share of the cost to gain."""
+        return [n for n in nodes if may_gain(n.row.lower_bound, self.cost, share)]
 
     def _planned(self) -> list[Node]:
         """Return the nodes with plans that stop, the cheapest first."""

@@ -4,7 +4,15 @@ from __future__ import annotations
 
 from math import inf
 
-__all__ = ["DEFAULT_GAP", "closing_cost", "is_close", "is_closed", "is_proved", "relative_gap"]
+__all__ = [
+    "DEFAULT_GAP",
+    "closing_cost",
+    "is_close",
+    "is_closed",
+    "is_proved",
+    "may_gain",
+    "relative_gap",
+]
 
 DEFAULT_GAP = 0.01
 """Relative gap below which a plan is called optimal unless the caller asks otherwise."""
@@ -52,6 +60,17 @@ def is_close(cost: float, best: float, share: float = CLOSE) -> bool:
     (True, False)
     """
     return cost <= best + share * max(abs(best), 1.0)
+
+
+def may_gain(lower_bound: float, best: float, share: float) -> bool:
+    """Return whether a subset with this bound may be cheaper than the best plan by a share.
+
+    Examples
+    --------
+    >>> may_gain(190.0, 200.0, 0.02), may_gain(197.0, 200.0, 0.02)
+    (True, False)
+    """
+    return best == inf or lower_bound < best - share * max(abs(best), 1.0)
 
 
 def is_proved(cost: float, transcribed: float, lower_bound: float, gap: float) -> bool:

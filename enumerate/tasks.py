@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from itertools import islice
 from math import inf
 
+from enumerate.gap import may_gain
 from enumerate.ledger import Outcome, Row
 from enumerate.subset import Subset
 from enumerate.tree import Examined, Leaf, examine
@@ -35,6 +36,7 @@ from relax.starts import (
 from relax.trip import Grid, Trip
 
 __all__ = [
+    "WORTH_A_START",
     "Node",
     "Setting",
     "examine_leaf",
@@ -48,6 +50,11 @@ __all__ = [
     "relax_node",
     "rescue_node",
 ]
+
+
+WORTH_A_START = 0.02
+"""Share of the best plan's cost by which the bound of a subset is below it if the subset gets more
+than one start: what they gain is at most that. Saves a sixth of the programs of random trips."""
 
 
 @dataclass(frozen=True)
@@ -134,7 +141,7 @@ def refine_node(setting: Setting, node: Node, warm: bool = False) -> Node:
     warm : bool
         From equal, warm stops or from the relaxed point, whichever is ahead after a few
         programs: the losses of a relaxed optimum heat the battery for nothing, which in the
-        cold leads to poor local optima.
+        cold leads to poor local optima. Only if the bound leaves something to gain.
     """
     instance = setting.instance(node.row.subset)
     simulation = Simulation(instance)
@@ -146,7 +153,8 @@ def refine_node(setting: Setting, node: Node, warm: bool = False) -> Node:
         yield warmer_start(instance, even_start(instance))
         yield relaxed()
 
-    if warm and instance.stops:
+    worth = may_gain(node.row.lower_bound, setting.refine.hopeless, WORTH_A_START)
+    if warm and worth and instance.stops:
         found = [refine_best(instance, both(), setting.refine)]
     else:
         found = [refine(instance, relaxed(), setting.refine, simulation)]
