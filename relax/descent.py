@@ -49,7 +49,7 @@ MAX_RESTARTS = 1
 LARGEST_TRUST_K = 16.0
 """Trust region beyond which it does not grow [K]."""
 LONGER = (2.0, 4.0, 8.0, 16.0)
-"""Multiples of a step that are simulated as long as they gain more than was predicted."""
+"""Multiples of a step that gained more than was predicted: tried as long as each gains more."""
 LOSING = 2e-3
 """Relative tolerance for subsets that cannot reach the best plan any more: without one the costs
 of other choices are up to 17 % too high from Goteborg to Stockholm in winter."""
