@@ -2,8 +2,9 @@
 
     python -m benchmarks.memory [--repeats 3] [--trip paper-400km]
 
-Runs ``evrelax plan`` in fresh processes and prints the peak resident memory and
-the wall-clock time from the start of the process to its end, imports included.
+Runs ``evrelax plan`` anew and prints the peak resident memory of the largest of its processes
+(workers share most of theirs with it) and the wall-clock time from the start of the process to
+its end, imports included.
 Needs a Unix system (``resource``). Exit code 1 if a limit is missed.
 """
 
@@ -36,7 +37,7 @@ sys.exit(code)
 
 
 def run_cold(command: list[str]) -> tuple[float, float]:
-    """Return peak resident memory [MB] and wall-clock time [s] of a command.
+    """Return peak resident memory [MB] of a command's largest process, and its time [s].
 
     Raises
     ------

@@ -25,7 +25,7 @@ from enumerate.cli_exit import (
     before_planning,
     fail,
 )
-from enumerate.cli_options import GAP, QUIET, SECONDS, WORKERS, one_word, settings, threads
+from enumerate.cli_options import GAP, QUIET, SECONDS, WORKERS, one_word, settings
 from enumerate.cli_output import (
     STDOUT,
     check_files,
@@ -171,14 +171,7 @@ def _print_version(context: click.Context, wanted: bool) -> None:
     is_flag=True,
     help="Print the convexity certificate of the plan's stops as well.",
 )
-@click.option(
-    "--workers",
-    metavar="NUMBER",
-    default=threads,
-    show_default="one per core, at most 4",
-    callback=WORKERS,
-    help="Threads over the choices of stops; the plan is the same for any number.",
-)
+@WORKERS
 @click.option(
     "--solver",
     metavar="[clarabel|osqp]",

@@ -24,8 +24,8 @@ __all__ = [
     "one_word",
     "read_values",
     "settings",
-    "threads",
     "whole",
+    "workers",
 ]
 
 T = TypeVar("T")
@@ -33,8 +33,8 @@ Check = Callable[[click.Context, click.Parameter, Any], Any]
 
 MOST_VALUES = 100_000
 """Values of one range beyond which its step is a slip."""
-MOST_THREADS = 4
-"""Threads used unless asked for more: solves run side by side, the Python between them does not."""
+MOST_WORKERS = 4
+"""Workers used unless asked for more: as many as a batch of a search has tasks."""
 
 
 def _name(parameter: click.Parameter) -> str:
@@ -86,14 +86,22 @@ def whole(least: int) -> Check:
     return _number(int, lambda number: number >= least, f"a whole number of at least {least}")
 
 
-WORKERS = whole(1)
-
-
-def threads() -> str:
-    """Return the number of cores this process may use, at most ``MOST_THREADS``, as text."""
+def workers() -> str:
+    """Return the number of cores this process may use, at most ``MOST_WORKERS``, as text."""
     allowed = getattr(os, "sched_getaffinity", None)  # not on every system
     cores = len(allowed(0)) if allowed is not None else os.cpu_count() or 1
-    return str(min(cores, MOST_THREADS))
+    return str(min(cores, MOST_WORKERS))
+
+
+WORKERS = click.option(
+    "--workers",
+    metavar="NUMBER",
+    default=workers,
+    show_default="one per core, at most 4",
+    callback=whole(1),
+    help="Processes at work (threads where they cannot be forked). The result is the same for any "
+    "number.",
+)
 
 
 def one_word(words: Sequence[str]) -> Check:

@@ -92,6 +92,7 @@ TRIP_SETTINGS = click.option(
 )
 @click.option("--latest-min", metavar="MINUTES", callback=MINUTES, help="Longest time of interest.")
 @click.option("--json", "json_file", metavar="FILE", help="Write the front as JSON; '-': print it.")
+@WORKERS
 @TRIP_SETTINGS
 @QUIET
 def pareto(
@@ -103,6 +104,7 @@ def pareto(
     time_limit: float,
     latest_min: float | None,
     json_file: str | None,
+    workers: int,
     overrides: dict[str, object],
     quiet: bool,
 ) -> None:
@@ -133,6 +135,7 @@ def pareto(
             gap=None if no_proof else gap,
             latest_h=latest_h,
             time_limit_s=time_limit,
+            workers=workers,
             progress=report,
         )
     none = None if front.points or front.interrupted else _without_front(loaded, latest_h)
@@ -191,7 +194,7 @@ def _none_text(result: Result, trip: Trip, short: bool) -> str:
     metavar="NUMBER",
     default="1",
     show_default=True,
-    callback=WORKERS,
+    callback=whole(1),
     help="Processes.",
 )
 @TRIP_SETTINGS

@@ -11,6 +11,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
+from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
 from math import inf
@@ -32,7 +33,7 @@ from enumerate.front_plans import (
     walk_budgets,
 )
 from enumerate.gap import relative_gap
-from enumerate.pool import run_in_order
+from enumerate.pool import open_pool, run_in_order
 from enumerate.spread import improves, next_times, spread
 from enumerate.stretch import Stretch, make_stretches
 from enumerate.subset import Subset, all_subsets
@@ -237,6 +238,7 @@ def pareto(
     max_boxes: int = 100,
     time_limit_s: float | None = None,
     grid: Grid | None = None,
+    workers: int = 1,
     executor: Executor | None = None,
     progress: Callable[[Progress], None] | None = None,
 ) -> Front:
@@ -267,22 +269,24 @@ def pareto(
         Wall-clock limit; what is known by then is returned [s].
     grid : Grid, optional
         Other steps and cells than the trip's.
+    workers : int
+        Processes (threads where they cannot be forked); 1 runs everything here.
     executor : Executor, optional
-        Any ``concurrent.futures.Executor``; by default everything runs here.
+        Any ``concurrent.futures.Executor`` instead.
     progress : callable, optional
         Called with a ``Progress`` as the work goes on.
 
     Returns
     -------
     Front
-        The same for any executor, timings and time limits aside. Ctrl-C returns what
+        The same for any number of workers, timings and time limits aside. Ctrl-C returns what
         is known by then, with ``interrupted`` set. No points: no plan was found.
 
     Raises
     ------
     ValueError
         More than 10 chargers, fewer than 2 points, a gap not above 0 and below 1, a time not
-        above 0, or an unknown measure.
+        above 0, an unknown measure, or no worker.
 
     Examples
     --------
@@ -306,32 +310,37 @@ def pareto(
         raise ValueError(f"times_h must be above 0, not {list(times_h)}")
     if measure not in ("energy", "cost"):
         raise ValueError(f"measure must be 'energy' or 'cost', not {measure!r}")
+    if not workers >= 1:
+        raise ValueError(f"workers must be at least 1, not {workers}")
     grid = grid or trip.grid
     latest = min(trip.stop_time_h, inf if latest_h is None else latest_h)
     setting = Setting(_measured(trip, measure), make_drive(trip, grid.step_km), grid)
     deadline = begin + (inf if time_limit_s is None else time_limit_s)
-    search = _Search(setting, executor, deadline, every_subset, progress)
-    timings: dict[str, float] = {}
-    phases: list[tuple[str, Callable[[], None]]] = [("ends", lambda: search.ends(latest))]
-    if times_h is None:
-        phases.append(("front", lambda: search.fill(points)))
-    else:
-        phases.append(("front", lambda: search.look(sorted(times_h))))
-    if gap is not None:
-        phases.append(("support", lambda: search.support(gap, latest)))
-    phases.append(("replay", search.drive))
-    if gap is not None:
-        phases.append(("prove", lambda: search.prove(gap, latest, max_boxes)))
-    for name, phase in phases:
-        if search.interrupted and name != "replay":
-            continue
-        try:
-            phase()
-        except KeyboardInterrupt:
-            search.interrupted = "interrupted"
-            if name == "replay":  # the plans are worth more than the moment
-                search.drive()
-        timings[name] = time.perf_counter() - begin - sum(timings.values())
+    with ExitStack() as stack:
+        if executor is None:
+            executor = stack.enter_context(open_pool(workers))
+        search = _Search(setting, executor, deadline, every_subset, progress)
+        timings: dict[str, float] = {}
+        phases: list[tuple[str, Callable[[], None]]] = [("ends", lambda: search.ends(latest))]
+        if times_h is None:
+            phases.append(("front", lambda: search.fill(points)))
+        else:
+            phases.append(("front", lambda: search.look(sorted(times_h))))
+        if gap is not None:
+            phases.append(("support", lambda: search.support(gap, latest)))
+        phases.append(("replay", search.drive))
+        if gap is not None:
+            phases.append(("prove", lambda: search.prove(gap, latest, max_boxes)))
+        for name, phase in phases:
+            if search.interrupted and name != "replay":
+                continue
+            try:
+                phase()
+            except KeyboardInterrupt:
+                search.interrupted = "interrupted"
+                if name == "replay":  # the plans are worth more than the moment
+                    search.drive()
+            timings[name] = time.perf_counter() - begin - sum(timings.values())
     found = _result(search, trip, measure, gap)
     return replace(found, timings_s={**timings, "total": time.perf_counter() - begin})
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from concurrent.futures import Executor, ThreadPoolExecutor
+from concurrent.futures import Executor
 from contextlib import ExitStack
 from math import inf
 from typing import Literal
@@ -17,6 +17,7 @@ from enumerate.evidence import StageProof
 from enumerate.explore import FEW_CHARGERS, Progress, Search
 from enumerate.gap import DEFAULT_GAP, closing_cost, is_proved
 from enumerate.ledger import Ledger, Outcome
+from enumerate.pool import open_pool
 from enumerate.proving import prove
 from enumerate.result import Result, Status
 from enumerate.tasks import Setting
@@ -63,7 +64,8 @@ def plan(
     time_limit_s : float, optional
         Wall-clock limit; the best plan and bound at that moment are returned [s].
     workers : int
-        Threads over subsets; 1 runs everything in this thread.
+        Processes over subsets and leaves (threads where processes cannot be forked); 1 runs
+        everything here.
     executor : Executor, optional
         Any ``concurrent.futures.Executor`` instead, for example processes.
     solver : {"clarabel", "osqp"}
@@ -119,8 +121,8 @@ def plan(
         timings[name] = time.perf_counter() - begin - sum(timings.values())
 
     with ExitStack() as stack:
-        if executor is None and workers > 1:
-            executor = stack.enter_context(ThreadPoolExecutor(workers))
+        if executor is None:
+            executor = stack.enter_context(open_pool(workers))
         search = Search(
             setting,
             executor,

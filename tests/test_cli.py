@@ -99,10 +99,10 @@ def test_a_plan_uses_the_cores_it_may_use(
     cores: int, used: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: set(range(cores)), raising=False)
-    assert cli_options.threads() == used
+    assert cli_options.workers() == used
     monkeypatch.delattr(os, "sched_getaffinity")  # a system without it
     monkeypatch.setattr(os, "cpu_count", lambda: cores)
-    assert cli_options.threads() == used
+    assert cli_options.workers() == used
 
 
 def test_a_ledger_is_written_and_audited(trip: Path, tmp_path: Path) -> None:
@@ -176,7 +176,7 @@ def test_stopped_without_a_plan(trip: Path, monkeypatch: pytest.MonkeyPatch) -> 
         raise KeyboardInterrupt
 
     monkeypatch.setattr(explore, "relax_node", interrupted)
-    done = call("plan", trip)
+    done = call("plan", trip, "--workers", 1)
     assert done.exit_code == 4, done.output
     assert "interrupted" in done.stdout and "status  unknown" in done.stdout
     monkeypatch.setattr(search, "plan", interrupted)
@@ -194,7 +194,7 @@ def test_interrupted_with_a_plan_prints_it(trip: Path, monkeypatch: pytest.Monke
         return real(*arguments, **options)  # type: ignore[arg-type]
 
     monkeypatch.setattr(explore, "refine_node", second_fails)
-    done = call("plan", trip, "--all")
+    done = call("plan", trip, "--all", "--workers", 1)
     assert done.exit_code == 0, done.output
     assert "interrupted" in done.stdout and "destination" in done.stdout
 

@@ -1,9 +1,7 @@
-"""Every subset is accounted for once; tolerances and task order are what they say."""
+"""Every subset is accounted for once; tolerances are what they say."""
 
 from __future__ import annotations
 
-import threading
-from concurrent.futures import ThreadPoolExecutor
 from itertools import chain, combinations
 from math import inf
 
@@ -13,7 +11,6 @@ from hypothesis import strategies as st
 
 from enumerate.gap import is_close, is_closed, relative_gap
 from enumerate.ledger import Ledger, Outcome, Row
-from enumerate.pool import run_in_order
 from enumerate.subset import Subset, all_subsets
 
 FAST = settings(max_examples=60, deadline=None, derandomize=True)
@@ -103,58 +100,6 @@ def test_close_is_one_percent() -> None:
     assert is_close(100.9, 100.0)
     assert not is_close(101.2, 100.0)
     assert is_close(-100.0, -99.5)
-
-
-def test_results_come_in_the_order_of_the_items_whatever_finishes_first() -> None:
-    gate = threading.Event()
-
-    def task(item: int) -> int:
-        if item == 0:
-            assert gate.wait(10.0)
-        else:
-            gate.set()
-        return item * item
-
-    with ThreadPoolExecutor(2) as pool:
-        assert list(run_in_order(pool, task, range(5))) == [0, 1, 4, 9, 16]
-    gate.set()
-    assert list(run_in_order(None, task, range(5))) == [0, 1, 4, 9, 16]
-
-
-def test_without_an_executor_nothing_runs_before_it_is_asked_for() -> None:
-    seen: list[int] = []
-    results = run_in_order(None, seen.append, range(9))
-    next(results)
-    assert seen == [0]
-
-
-def test_tasks_not_begun_are_cancelled_when_the_consumer_stops() -> None:
-    begun: list[int] = []
-    free = threading.Event()
-
-    def task(item: int) -> int:
-        begun.append(item)
-        if item == 1:
-            assert free.wait(10.0)
-        return item
-
-    with ThreadPoolExecutor(1) as pool:
-        results = run_in_order(pool, task, range(50))
-        assert next(results) == 0
-        results.close()  # type: ignore[attr-defined]
-        free.set()
-    assert len(begun) <= 3
-
-
-def test_a_failing_task_raises_where_its_result_is_due() -> None:
-    def task(item: int) -> float:
-        return 1.0 / (item - 2)
-
-    with ThreadPoolExecutor(2) as pool:
-        results = run_in_order(pool, task, range(5))
-        assert [next(results), next(results)] == [-0.5, -1.0]
-        with pytest.raises(ZeroDivisionError):
-            next(results)
 
 
 def test_subsets_are_tuples_of_indices() -> None:

@@ -281,7 +281,7 @@ def memory_table() -> str:
         [
             f"| one cold `evrelax plan {value['trip']}` | |",
             "|---|---:|",
-            f"| peak memory | {value['peak_memory_mb']:.0f} MB |",
+            f"| peak memory of its largest process | {value['peak_memory_mb']:.0f} MB |",
             f"| wall clock, imports included | {value['wall_s']:.1f} s |",
         ]
     )
