@@ -11,7 +11,8 @@ on the number of workers, so neither does the result. Knows no solver.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable
+from collections import deque
+from collections.abc import Callable, Generator, Iterable
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from functools import partial
@@ -21,7 +22,7 @@ from math import comb, inf
 from enumerate.account import Account
 from enumerate.gap import is_close, is_closed, may_gain
 from enumerate.ledger import Outcome, Row
-from enumerate.pool import run_in_order
+from enumerate.pool import Pending, run_in_order
 from enumerate.road import Road
 from enumerate.subset import Subset, all_subsets, neighbours
 from enumerate.tasks import (
@@ -199,7 +200,7 @@ class Search:
         """Bound every subset, or families of them; plan a promising one as soon as it is known."""
         if not self.single:
             for k in range(MAX_OPENING // BATCH):
-                if self.interrupted or not self.examine_batch(inf, BATCH, families=True):
+                if self.interrupted or not self._examine_families():
                     break
                 if k + 1 >= OPENING // BATCH:
                     self.plan_new([*self.account.suggestions(), *self.account.decided()])
@@ -343,20 +344,55 @@ class Search:
         nodes.sort(key=lambda n: n.row.lower_bound)
         self.run(partial(refine_node, warm=True), nodes, "refine", enough)
 
-    def examine_batch(self, cutoff: float, most: int, families: bool = False) -> list[Examined]:
-        """Examine the open leaves of least bound."""
-        leaves = self._take(most, cutoff, families)
-        task = partial(examine_leaf, self.setting_now(), cutoff=cutoff, deadline=self.deadline)
-        examined: list[Examined] = []
+    def _examine_families(self) -> bool:
+        """Examine a batch of the families of least bound; return whether there was any."""
+        leaves = self._take(BATCH, inf, families=True)
+        task = partial(examine_leaf, self.setting, cutoff=inf, deadline=self.deadline)
+        entered = 0
         try:
             for done in run_in_order(self.executor, task, leaves):
-                self.account.enter(done, cutoff)
-                examined.append(done)
-                self.tell("relax" if families else "prove", *self.account.progress)
+                self.account.enter(done, inf)
+                entered += 1
+                self.tell("relax", *self.account.progress)
         finally:  # an interrupt loses no leaf
-            self.account.put_back(leaves[len(examined) :])
+            self.account.put_back(leaves[entered:])
         self.look_at_clock()
-        return examined
+        return entered > 0
+
+    def examine_all(
+        self, cutoff: Callable[[], float], ahead: int
+    ) -> Generator[Examined, None, None]:
+        """Examine open leaves, of least bound first, until none is below the cutoff.
+
+        Yields what became of each as it is entered, in the order in which they were taken.
+
+        Parameters
+        ----------
+        cutoff : callable
+            Returns the cost from which on a bound closes at the moment [currency].
+        ahead : int
+            Leaves that are handed out before the first of them is entered.
+        """
+        waiting: deque[tuple[Leaf, float, Pending[Examined]]] = deque()
+        try:
+            while not self.interrupted:
+                closing = cutoff()
+                task = partial(examine_leaf, self.setting, cutoff=closing, deadline=self.deadline)
+                for leaf in self._take(ahead - len(waiting), closing, families=False):
+                    waiting.append((leaf, closing, Pending(self.executor, task, leaf)))
+                if not waiting:
+                    return
+                _, closing, pending = waiting[0]
+                done = pending.result()
+                self.account.enter(done, closing)
+                waiting.popleft()
+                self.tell("prove", *self.account.progress)
+                self.look_at_clock()
+                yield done
+        finally:  # an interrupt loses no leaf
+            for _, _, pending in waiting:
+                pending.cancel()
+            self.account.put_back(leaf for leaf, _, _ in waiting)
 
     def _take(self, most: int, cutoff: float, families: bool) -> list[Leaf]:
         """Take open leaves of least bound; small families among them are replaced by parts."""

@@ -5,10 +5,12 @@ What a proof meets on the way and cannot close is planned. Knows no solver.
 
 from __future__ import annotations
 
+from contextlib import closing
 from dataclasses import replace
+from functools import partial
 from math import inf
 
-from enumerate.explore import BATCH, Search
+from enumerate.explore import Search
 from enumerate.gap import closing_cost, is_close
 from enumerate.ledger import Outcome
 from enumerate.stage_graph import StageGraph
@@ -26,10 +28,10 @@ subset multiplies over its stops. With 20 or 24 chargers and one stop, stages ga
 30 s and took four times the memory of families (``benchmarks.scale``)."""
 MOST_PATHS = 4
 """Subsets planned because a path of stages used them."""
-PROOF_BATCH = 16
-"""Leaves of a proof examined at once are a quarter of the open ones, between ``BATCH`` and this:
-nearly all have to be closed anyway, and leaves take very different times, so that of a few one
-worker would wait for the other."""
+AHEAD = 8
+"""Leaves of a proof handed out before the first of them is entered; fixed, so that any number of
+workers examines the same ones. Nearly all have to be closed anyway, and they take very different
+times: of fewer, one worker would wait for the other."""
 PATHS_EVERY = 8
 """Paths of stages of which one is planned: most change little."""
 STAGE_NEAR = 0.03
@@ -61,24 +63,23 @@ def prove(search: Search, gap: float) -> None:
             for s, n in search.nodes.items()
             if n.row.outcome is not Outcome.INFEASIBLE and s not in search.together
         )
-    while not search.interrupted:
-        cutoff = inf if search.road.execution is None else _cutoff(search, gap)
-        most = min(max(search.account.n_open // 4, BATCH), PROOF_BATCH)
-        examined = search.examine_batch(cutoff, most)
-        if not examined:
-            return
-        _plan_leaves(search, [e for e in examined if not e.leaf.undecided and not e.closed])
-        if search.best is not None and search.road.is_new(search.best):
-            search.drive()
+    with closing(search.examine_all(partial(_cutoff, search, gap), AHEAD)) as examined:
+        for done in examined:
+            if not done.leaf.undecided and not done.closed:
+                _plan_leaf(search, done)
+                if search.best is not None and search.road.is_new(search.best):
+                    search.drive()
 
 
 def _cutoff(search: Search, gap: float) -> float:
-    """Return the cost from which on a bound closes, for the driven plan.
+    """Return the cost from which on a bound closes, for the driven plan; ``inf`` without one.
 
     No bound exceeds what any plan costs on the grid.
     """
     done = search.road.execution
-    assert done is not None and done.replay is not None  # plans that do not hold are refused
+    if done is None:
+        return inf
+    assert done.replay is not None  # plans that do not hold are refused
     return closing_cost(done.replay.cost, gap, min(done.trajectory.cost, search.cost))
 
 
@@ -107,21 +108,18 @@ def _prove_by_stages(search: Search, gap: float) -> None:
     search.look_at_clock()
 
 
-def _plan_leaves(search: Search, left: list[Examined]) -> None:
-    """Plan subsets that a proof met and could not close, and start again from what it knows.
+def _plan_leaf(search: Search, done: Examined) -> None:
+    """Plan a subset that a proof met and could not close, and start again from what it knows.
 
     A tightened relaxation's optimum is often nearer to the best plan than any other start.
     """
-    search.plan_new(e.leaf.subset for e in left)
-    again = []
-    for done in left:
-        node = search.nodes.get(done.leaf.subset)  # none if time is up
-        most = FIRST_STARTS if search.road.execution is None else LEAF_STARTS
-        if node is None or done.point is None or node.starts >= most:
-            continue
-        # a subset without a plan may have one that other starts missed
-        if node.row.outcome is Outcome.UNPROVED or is_close(node.row.cost, search.cost):
-            node = replace(node, point=done.point, starts=node.starts + 1)
-            search.nodes[done.leaf.subset] = node
-            again.append(node)
-    search.run(refine_point, again, "further starts")
+    search.plan_new([done.leaf.subset])
+    node = search.nodes.get(done.leaf.subset)  # none if time is up
+    most = FIRST_STARTS if search.road.execution is None else LEAF_STARTS
+    if node is None or done.point is None or node.starts >= most:
+        return
+    # a subset without a plan may have one that other starts missed
+    if node.row.outcome is Outcome.UNPROVED or is_close(node.row.cost, search.cost):
+        node = replace(node, point=done.point, starts=node.starts + 1)
+        search.nodes[done.leaf.subset] = node
+        search.run(refine_point, [node], "further starts")
