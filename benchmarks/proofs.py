@@ -1,4 +1,4 @@
-"""How long does a proof take? Plans with a gap asked for, one thread.
+"""How long does a proof take? Plans with a gap asked for, in one process and with two workers.
 
     python -m benchmarks.proofs [--cases PATTERN ...] [--fresh] [--smoke]
 
@@ -32,7 +32,7 @@ from enumerate import plan
 
 __all__ = ["COLUMNS", "Task", "main", "measure", "summarise", "tasks"]
 
-KEY = ("case", "asked_gap", "time_limit_s", "version")
+KEY = ("case", "asked_gap", "time_limit_s", "workers", "version")
 COLUMNS = (
     *KEY, "chargers", "subsets", "status", "cost", "lower_bound", "gap", "programs", "prove_s",
     "total_s", "interrupted", "date", "processor", "versions",
@@ -44,6 +44,8 @@ FINE_LIMIT_S = 10.0
 """Time for the fine gap [s]."""
 LIMIT_S = 180.0
 """Time for the others [s]."""
+WORKERS = (1, 2)
+"""Processes at work, for the gap that is not fine."""
 EMPTY = "corridor/goteborg-stockholm-winter"
 """Case of which the infeasible one is made."""
 
@@ -64,6 +66,8 @@ class Task:
         Time limit [s].
     start_soc : float or None
         Another state of charge at the start.
+    workers : int
+        Processes at work.
     """
 
     name: str
@@ -71,6 +75,7 @@ class Task:
     gap: float
     limit_s: float
     start_soc: float | None = None
+    workers: int = 1
 
 
 def tasks(cases: tuple[Case, ...] = CASES) -> list[Task]:
@@ -78,14 +83,14 @@ def tasks(cases: tuple[Case, ...] = CASES) -> list[Task]:
 
     Examples
     --------
-    >>> len(tasks()) == 27 + 27 + 3 + 1
+    >>> len(tasks()) == 2 * 27 + 27 + 2 * 3 + 1
     True
     """
     paper = [case for case in cases if case.group == "paper"]
     others = [case for case in cases if case.group == "corridor"]
-    out = [Task(case.name, case, FULL, LIMIT_S) for case in paper]
+    out = [Task(c.name, c, FULL, LIMIT_S, workers=n) for n in WORKERS for c in paper]
     out += [Task(case.name, case, FINE, FINE_LIMIT_S) for case in paper]
-    out += [Task(case.name, case, FULL, LIMIT_S) for case in others]
+    out += [Task(c.name, c, FULL, LIMIT_S, workers=n) for n in WORKERS for c in others]
     empty = [case for case in others if case.name == EMPTY]
     return out + [Task(f"{c.name}, start at 30 %", c, FULL, LIMIT_S, 0.3) for c in empty]
 
@@ -103,7 +108,7 @@ def measure(task: Task) -> Row:
     if task.start_soc is not None:
         trip = replace(trip, start_soc=task.start_soc)
     begin = perf_counter()
-    result = plan(trip, gap=task.gap, time_limit_s=task.limit_s)
+    result = plan(trip, gap=task.gap, time_limit_s=task.limit_s, workers=task.workers)
     seconds = perf_counter() - begin
     return {
         "chargers": len(trip.chargers),
@@ -125,50 +130,76 @@ def summarise(rows: list[Row]) -> str:
     Examples
     --------
     >>> row = {"case": "paper/a", "asked_gap": "0.01", "gap": "0.01", "total_s": "2.0",
-    ...        "programs": "40", "subsets": "8", "status": "optimal", "time_limit_s": "180.0"}
-    >>> print(summarise([row]))
-    | gap asked for | | reached | time | programs |
-    |---:|---|---:|---:|---:|
-    | 1 % | 1 variant of `paper-400km` | 1 of 1 | 2.0 s (2.0 to 2.0) | 40 (40 to 40) |
-    | | - of these within 1 s, 5 s, 20 s | 0, 1, 1 | | |
-    """
-    lines = ["| gap asked for | | reached | time | programs |", "|---:|---|---:|---:|---:|"]
+    ...        "programs": "40", "subsets": "8", "status": "optimal", "workers": "1"}
+    >>> print(summarise([row, row | {"total_s": "1.2", "workers": "2"}]))
+    | gap asked for | | reached | time | with 2 workers | programs |
+    |---:|---|---:|---:|---:|---:|
+    | 1 % | 1 variant of `paper-400km` | 1 of 1 | 2.0 s (2.0 to 2.0) | 1.2 s (1.2 to 1.2) | 40 (40 to 40) |
+    | | - of these within 1 s, 5 s, 20 s | | 0, 1, 1 | 0, 1, 1 | |
+    """  # noqa: E501
+    alone = [row for row in rows if number(row, "workers") == 1]
+    shared = [row for row in rows if number(row, "workers") == WORKERS[-1]]
+    lines = [
+        f"| gap asked for | | reached | time | with {WORKERS[-1]} workers | programs |",
+        "|---:|---|---:|---:|---:|---:|",
+    ]
     for gap, limits in ((FULL, (1.0, 5.0, 20.0)), (FINE, ())):
-        group = [
-            r for r in rows if r["case"].startswith("paper/") and number(r, "asked_gap") == gap
-        ]
+        group, other = (_variants(some, gap) for some in (alone, shared))
         if not group:
             continue
-        good = [row for row in group if number(row, "gap") <= gap * (1.0 + 1e-9)]
-        times, programs = ([number(r, name) for r in group] for name in ("total_s", "programs"))
-        variants = counted(len(group), "variant")
+        good = [row for row in group if _is_reached(row, gap)]
+        programs = [number(row, "programs") for row in group]
         lines.append(
-            f"| {100 * gap:g} % | {variants} of `paper-400km` | {len(good)} of {len(group)} | "
-            f"{median(times):.1f} s ({min(times):.1f} to {max(times):.1f}) | "
+            f"| {100 * gap:g} % | {counted(len(group), 'variant')} of `paper-400km` | "
+            f"{len(good)} of {len(group)} | {_times(group)} | {_times(other)} | "
             f"{median(programs):.0f} ({min(programs):.0f} to {max(programs):.0f}) |"
         )
         if limits:
-            within = [sum(number(r, "total_s") <= limit for r in good) for limit in limits]
             words = ", ".join(f"{limit:g} s" for limit in limits)
-            counts = ", ".join(str(n) for n in within)
-            lines.append(f"| | - of these within {words} | {counts} | | |")
-        else:
-            open_ = sorted((number(r, "gap") for r in group if r not in good), reverse=True)
-            if open_:
-                lines.append(
-                    f"| | - gap of the others after {FINE_LIMIT_S:g} s | "
-                    f"{100 * open_[-1]:.2f} to {100 * open_[0]:.2f} % | | |"
-                )
-    for row in rows:
+            lines.append(
+                f"| | - of these within {words} | | {_within(group, gap, limits)} | "
+                f"{_within(other, gap, limits)} | |"
+            )
+        open_ = sorted((number(r, "gap") for r in group if r not in good), reverse=True)
+        if open_:
+            lines.append(
+                f"| | - gap of the others after {FINE_LIMIT_S:g} s | "
+                f"{100 * open_[-1]:.2f} to {100 * open_[0]:.2f} % | | | |"
+            )
+    for row in alone:
         if not row["case"].startswith("paper/"):
             gap, subsets = number(row, "gap"), int(number(row, "subsets"))
             reached = row["status"] if row["status"] == "infeasible" else f"{100 * gap:.2f} %"
+            same = [r for r in shared if r["case"] == row["case"]]
             lines.append(
                 f"| {100 * number(row, 'asked_gap'):g} % | {row['case'].split('/')[-1]}, "
                 f"{subsets:,} choices | {reached} | {number(row, 'total_s'):.1f} s | "
-                f"{number(row, 'programs'):.0f} |"
+                f"{_times(same, with_range=False)} | {number(row, 'programs'):.0f} |"
             )
     return "\n".join(lines)
+
+
+def _variants(rows: list[Row], gap: float) -> list[Row]:
+    return [r for r in rows if r["case"].startswith("paper/") and number(r, "asked_gap") == gap]
+
+
+def _is_reached(row: Row, gap: float) -> bool:
+    return number(row, "gap") <= gap * (1.0 + 1e-9)
+
+
+def _times(rows: list[Row], *, with_range: bool = True) -> str:
+    """Return the median time of some rows, with its range."""
+    times = [number(row, "total_s") for row in rows]
+    if not times:
+        return ""
+    middle = f"{median(times):.1f} s"
+    return f"{middle} ({min(times):.1f} to {max(times):.1f})" if with_range else middle
+
+
+def _within(rows: list[Row], gap: float, limits: tuple[float, ...]) -> str:
+    """Return how many rows reach the gap within each time."""
+    good = [number(row, "total_s") for row in rows if _is_reached(row, gap)]
+    return ", ".join(str(sum(seconds <= limit for seconds in good)) for limit in limits)
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -198,6 +229,7 @@ def main(arguments: list[str] | None = None) -> int:
         for task in tqdm(wanted, file=sys.stderr, desc="proofs", disable=None):
             row: Row = where | {
                 "case": task.name, "asked_gap": task.gap, "time_limit_s": task.limit_s,
+                "workers": task.workers,
             }  # fmt: skip
             if not file.has(row):
                 file.append(row | measure(task))

@@ -130,10 +130,12 @@ def test_times_of_other_runs_are_held_against_these() -> None:
     rows = [row(f"paper/{name}", OURS, 100.0, 2.0) for name in "abc"]
     rows.append(row("paper/c", OURS, 100.0, 9.0, run="later"))
     proofs = [
-        {"case": f"paper/{name}", "asked_gap": "0.01", "programs": programs, "total_s": "3.0"}
+        {"case": f"paper/{name}", "asked_gap": "0.01", "programs": programs, "total_s": "3.0",
+         "workers": "1"}
         for name, programs in (("a", 3), ("b", 4), ("c", 3))
-    ]
+    ]  # fmt: skip
     proofs.append(proofs[0] | {"asked_gap": "0.001", "total_s": "90.0"})
+    proofs.append(proofs[0] | {"workers": "2", "total_s": "1.8"})
     text = report.page(rows, [], [], {}, proofs)
     assert "The rows are of 2 runs, each under its own load" in text
     assert "has 2 proofs to 1 % with the same number of programs as here" in text  # not paper/b
