@@ -35,8 +35,9 @@ def open_pool(workers: int) -> Iterator[Executor | None]:
     """Yield an executor with so many workers; None for one, who is the caller.
 
     Processes forked from this one on Linux: assembly and simulation hold the interpreter's
-    lock, so threads gain little. Elsewhere threads, since a process that is not forked would
-    load all packages anew, which takes longer than most plans.
+    lock, so threads gain little. Threads elsewhere, since a process that is not forked would
+    load all packages anew, which takes longer than most plans; and where the system or a
+    daemon's rules allow no processes.
 
     Parameters
     ----------
@@ -51,17 +52,28 @@ def open_pool(workers: int) -> Iterator[Executor | None]:
     """
     if workers == 1:
         yield None
-    elif sys.platform != "linux":
+        return
+    stop = _make_stop()
+    if stop is None:
         with ThreadPoolExecutor(workers) as threads:
             yield threads
-    else:
-        context = multiprocessing.get_context("fork")
-        stop = context.Event()
-        with ProcessPoolExecutor(workers, context, _begin, (stop,)) as processes:
-            try:
-                yield processes
-            finally:  # results that nobody took are not waited for
-                stop.set()
+        return
+    context = multiprocessing.get_context("fork")
+    with ProcessPoolExecutor(workers, context, _begin, (stop,)) as processes:
+        try:
+            yield processes
+        finally:  # results that nobody took are not waited for
+            stop.set()
+
+
+def _make_stop() -> Event | None:
+    """Return the event that tells forked workers to stop; None if there can be none."""
+    if sys.platform != "linux" or multiprocessing.current_process().daemon:
+        return None
+    try:
+        return multiprocessing.get_context("fork").Event()
+    except (OSError, ImportError):  # no shared memory
+        return None
 
 
 def _begin(stop: Event) -> None:
@@ -109,8 +121,8 @@ class Pending(Generic[R]):
         if executor is not None:
             try:
                 self._future = executor.submit(_run, task, item)
-            except BrokenExecutor:
-                pass  # it lost a worker: what is left is done here
+            except (BrokenExecutor, OSError):
+                pass  # it lost a worker or got none: what is left is done here
 
     def result(self) -> R:
         """Return the result, as soon as there is one."""

@@ -112,6 +112,45 @@ def test_without_fork_workers_are_threads(monkeypatch: pytest.MonkeyPatch) -> No
 
 
 @FORKS
+@pytest.mark.parametrize(
+    "error", [OSError(38, "Function not implemented"), ImportError("sem_open")]
+)
+def test_without_shared_memory_workers_are_threads(
+    monkeypatch: pytest.MonkeyPatch, error: Exception
+) -> None:
+    def refuse(_: object) -> None:
+        raise error
+
+    monkeypatch.setattr(multiprocessing.context.ForkContext, "Event", refuse)
+    with open_pool(2) as pool:
+        assert list(run_in_order(pool, square, range(3))) == [0, 1, 4]
+        assert isinstance(pool, ThreadPoolExecutor)
+
+
+def squares_of_two_workers() -> list[int]:
+    with open_pool(2) as pool:
+        return list(run_in_order(pool, square, range(3)))
+
+
+@FORKS
+def test_a_daemon_may_plan_with_workers() -> None:
+    with multiprocessing.get_context("fork").Pool(1) as pool:  # its processes are daemons
+        assert pool.apply(squares_of_two_workers) == [0, 1, 4]
+
+
+@FORKS
+def test_a_system_that_gives_no_process_leaves_all_to_the_caller(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def refuse(_: object) -> None:
+        raise BlockingIOError(11, "Resource temporarily unavailable")
+
+    monkeypatch.setattr(multiprocessing.context.ForkProcess, "start", refuse)
+    with open_pool(2) as pool:
+        assert list(run_in_order(pool, square, range(3))) == [0, 1, 4]
+
+
+@FORKS
 def test_what_lost_workers_leave_is_done_here() -> None:
     with open_pool(2) as pool:
         assert list(run_in_order(pool, lost_in_a_worker, range(6))) == [0, 1, 4, 9, 16, 25]
