@@ -8,7 +8,7 @@ import tomllib
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-__all__ = ["make_single_threaded", "processor", "versions"]
+__all__ = ["keep_to_cores", "make_single_threaded", "processor", "versions"]
 
 PACKAGES = ("evrelax", "casadi", "clarabel", "numpy", "scipy", "osqp")
 """Packages whose version may change a figure."""
@@ -20,6 +20,8 @@ THREAD_VARIABLES = (
     "RAYON_NUM_THREADS",
 )
 """Environment variables that libraries read, once, when they are imported."""
+ALLOWED = getattr(os, "sched_getaffinity", lambda _: set[int]())(0)
+"""Cores that this process may use when it begins; none where the system does not tell."""
 PROJECT = Path(__file__).parent.parent / "pyproject.toml"
 
 
@@ -27,8 +29,18 @@ def make_single_threaded() -> None:
     """Keep this process to one thread per library and one core; call before other imports."""
     for name in THREAD_VARIABLES:
         os.environ[name] = "1"
+    keep_to_cores(1)
+
+
+def keep_to_cores(number: int) -> None:
+    """Keep this process, and those it forks from now on, to so many of the cores it may use.
+
+    Examples
+    --------
+    >>> keep_to_cores(64)  # all there are
+    """
     if hasattr(os, "sched_setaffinity"):  # Linux only
-        os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
+        os.sched_setaffinity(0, sorted(ALLOWED)[-number:])
 
 
 def _of_checkout(name: str) -> str:
