@@ -4,8 +4,8 @@ With few chargers every subset is relaxed, which bounds it or proves it infeasib
 with more than one stop together; those whose bound is below the best plan are refined,
 most promising first. With many, families of subsets are relaxed together, and what their
 optima use is refined, with its neighbours. The best plan is driven on the continuous
-model. To prove a gap is the work of ``proving``. Batches have a size that does not depend
-on the number of workers, so neither does the result. Knows no solver.
+model. To prove a gap is the work of ``proving``. How much is handed out at once does not
+depend on the number of workers, so neither does the result. Knows no solver.
 """
 
 from __future__ import annotations

@@ -301,7 +301,8 @@ def many() -> Trip:
 
 
 @pytest.mark.parametrize("calls", [1, 3, 6, 14, 20])
-def test_an_interrupt_leaves_every_subset_accounted_for(calls: int) -> None:
+@pytest.mark.parametrize("workers", [1, 2])
+def test_an_interrupt_leaves_every_subset_accounted_for(calls: int, workers: int) -> None:
     seen = 0
 
     def stop(progress: Progress) -> None:
@@ -310,7 +311,7 @@ def test_an_interrupt_leaves_every_subset_accounted_for(calls: int) -> None:
         if seen == calls:
             raise KeyboardInterrupt
 
-    result = plan(many(), gap=0.001, progress=stop)
+    result = plan(many(), gap=0.001, progress=stop, workers=workers)
     assert result.interrupted == "interrupted"
     assert result.ledger.counts()["total"] == 64
     assert result.lower_bound <= result.transcribed_cost
