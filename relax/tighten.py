@@ -18,6 +18,7 @@ import numpy.typing as npt
 
 from relax.box import Box
 from relax.branch import Branch, Target, branch
+from relax.cuts import at_stops, charges, next_cut, stays, undecided, wide_charge, widest
 from relax.instance import Instance
 from relax.intervals import Interval
 from relax.proof import BoxProof, Closed, Step
@@ -42,13 +43,6 @@ FAMILY_WORTH = {"charge": (np.inf, 20.0), "stay": (np.inf, 0.5)}
 FAMILY_NEWS = 2
 """Stays bounded at least before the charges of a family are: with fewer, they mostly have been
 for a family that it is a part of."""
-WIDE_CHARGE_KWH = 9.0
-"""Stops whose charge is less certain than this are cut before temperatures are bounded: until
-then temperature bounds are loose. Widths of 6, 9, 13 and 18 kWh differ by 5 % in time."""
-LEAST_SPLIT = {"charge": 0.5, "stay": 0.02, "temperature": 1.0, "stop_temperature": 1.0}
-"""Intervals narrower than this are not cut [kWh, h, K]."""
-SPLIT_UNIT = {"charge": 3.0, "stay": 0.15, "temperature": 8.0, "stop_temperature": 8.0}
-"""Widths that count alike when the quantity to cut is chosen [kWh, h, K]."""
 FINE_WORTH = {"charge": (0.05, 0.05), "dwell": (np.inf, 0.003), "temperature": (1.0, 1.0),
               "stop_temperature": (1.0, 1.0)}  # fmt: skip
 """The same where little is missing: there every term counts [kWh, K, h]."""
@@ -58,8 +52,6 @@ FINE_STEPS = 10
 """Every so many steps the temperature is bounded finely."""
 PROGRESS = 0.5
 """Share of the distance to the cutoff that a round must gain for another one."""
-DECIDED = 0.02
-"""An optional stop used by less than this, or by all but this, counts as decided."""
 SHORT_LEG = 4
 """Legs of up to this many steps get no temperature bound of their own."""
 
@@ -163,22 +155,14 @@ class _Work:
     def bound_family(self) -> None:
         """Bound stays and charges of a family's optional stops, unless most stays are known."""
         box, before = self.proof.box, self.programs
-        for target in _stays(box):
+        for target in stays(box):
             self.shrink(target, FAMILY_WORTH)
         if self.programs >= before + FAMILY_NEWS:
-            for target in _charges(box):
+            for target in charges(box):
                 self.shrink(target, FAMILY_WORTH)
         if self.programs > before:
             self.spread()
             self.relax()
-
-
-def _charges(box: Box) -> list[Target]:
-    return [Target("charge", i, "charge") for i in range(box.optional.size)]
-
-
-def _stays(box: Box) -> list[Target]:
-    return [Target("stay", i, "dwell") for i in range(box.optional.size)]
 
 
 def _legs(instance: Instance) -> list[Target]:
@@ -188,16 +172,6 @@ def _legs(instance: Instance) -> list[Target]:
     return [Target("temperature", k, "temperature") for k in [*nodes, borders[-1]]]
 
 
-def _at_stops(instance: Instance) -> list[Target]:
-    """Temperatures on arrival at every used stop and at its end."""
-    out = []
-    for i, stop in enumerate(instance.stops):
-        if not stop.optional:
-            out.append(Target("temperature", stop.node, "temperature"))
-            out.append(Target("stop_temperature", (i, instance.cells), "border"))
-    return out
-
-
 def _fine(instance: Instance) -> Iterator[list[Target]]:
     """Yield what is bounded where little is missing: stops, their cells, the way between them."""
     cells = instance.cells
@@ -205,62 +179,12 @@ def _fine(instance: Instance) -> Iterator[list[Target]]:
     thirds = [(i, j) for i in stops for j in {cells // 4, cells // 2, 3 * cells // 4}]
     yield [
         *(Target("charge", i, "charge") for i in stops),
-        *_at_stops(instance),
+        *at_stops(instance),
         *(Target("stop_temperature", at, "border") for at in thirds),
     ]
     yield [Target("dwell", (i, j), "dwell") for i in stops for j in range(cells)]
     nodes = range(FINE_STEPS, instance.drive.n_steps, FINE_STEPS)
     yield [Target("temperature", k, "temperature") for k in (*nodes, instance.drive.n_steps)]
-
-
-def _widest(instance: Instance, box: Box) -> Branch | None:
-    """Where to cut a box of used stops: the quantity that is widest for its kind."""
-    targets = [
-        *_charges(box),
-        *_stays(box),
-        *_at_stops(instance),
-    ]
-    best, choice = 0.0, None
-    for target in targets:
-        interval: Interval = getattr(box, target.name)
-        lo, hi = float(interval.lo[target.index]), float(interval.hi[target.index])
-        share = (hi - lo) / SPLIT_UNIT[target.name]
-        if hi - lo > LEAST_SPLIT[target.name] and share > best:
-            best, choice = share, Branch("halve", target, 0.5 * (lo + hi))
-    return choice
-
-
-def _widest_within(box: Box) -> Branch | None:
-    """Where to cut when arrivals, stays and charges are known: the widest temperature between."""
-    best, choice = LEAST_SPLIT["temperature"], None
-    for name, variable in (("temperature", "temperature"), ("stop_temperature", "border")):
-        interval: Interval = getattr(box, name)
-        if interval.width.max(initial=0.0) > best:
-            at = np.unravel_index(int(interval.width.argmax()), interval.width.shape)
-            index = (int(at[0]), int(at[1])) if len(at) == 2 else int(at[0])
-            best = float(interval.width[at])
-            choice = Branch("halve", Target(name, index, variable), float(interval.mid[at]))
-    return choice
-
-
-def _wide_charge(box: Box) -> Branch | None:
-    """Where to cut if the charge of a stop is too uncertain to bound anything else."""
-    if box.charge.width.max(initial=0.0) <= WIDE_CHARGE_KWH:
-        return None
-    i = int(box.charge.width.argmax())
-    return Branch("halve", Target("charge", i, "charge"), float(box.charge.mid[i]))
-
-
-def _undecided(box: Box, used: Array) -> Branch:
-    """Where to cut a box with optional stops: by their number first, then by the least certain."""
-    least, most = box.count
-    if least < most:
-        at = int(np.clip(np.floor(used.sum() + DECIDED), least, most - 1))
-        return Branch("count", at=at)
-    doubt = np.where(box.optional, np.minimum(used, 1.0 - used), -1.0)
-    if doubt.max() < DECIDED:
-        doubt = np.where(box.optional, used, -1.0)
-    return Branch("use", stop=int(doubt.argmax()))
 
 
 def tighten(
@@ -355,29 +279,29 @@ def _settle(work: _Work, whole: bool) -> Branch | None:
         if np.isfinite(proof.cutoff):
             work.bound_family()
         used = np.where(proof.box.optional, proof.program.value("used", work.x), 1.0)
-        return _undecided(proof.box, used)
-    if not whole and (wide := _wide_charge(proof.box)):
+        return undecided(proof.box, used)
+    if not whole and (wide := wide_charge(proof.box)):
         return wide
     while not work.late:
         before = proof.bound
-        work.round(_stays(proof.box))
-        work.round(_charges(proof.box))
-        if wide := _wide_charge(proof.box):
+        work.round(stays(proof.box))
+        work.round(charges(proof.box))
+        if wide := wide_charge(proof.box):
             return wide
         work.round(_legs(instance))
-        work.round(_at_stops(instance))
+        work.round(at_stops(instance))
         if proof.bound - before < PROGRESS * (proof.cutoff - before):
             break
     while not work.late and (
         proof.cutoff - proof.bound < FINE_SHARE * abs(proof.cutoff)
-        or _widest(instance, proof.box) is None
+        or widest(instance, proof.box) is None
     ):
         before = proof.bound
         for targets in _fine(instance):
             work.round(targets, FINE_WORTH)
         if proof.bound - before < PROGRESS * (proof.cutoff - before):
             break
-    return _widest(instance, proof.box) or _widest_within(proof.box)
+    return next_cut(instance, proof.box, proof.program, work.x)
 
 
 @dataclass(frozen=True)
