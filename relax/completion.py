@@ -65,7 +65,8 @@ def complete(
     trajectory = simulation.run(controls)
     for _ in range(MAX_PASSES if controls.stops else 0):
         shift = _shortage(simulation.instance, controls, trajectory, tight, simulation.worth)
-        changed = np.flatnonzero(np.abs(shift) > END_TOLERANCE_KWH)
+        shift[np.abs(shift) <= END_TOLERANCE_KWH] = 0.0  # what is kept was simulated without
+        changed = np.flatnonzero(shift)
         if not changed.size:
             break
         stops = tuple(

@@ -20,6 +20,7 @@ from relax import (
     Table1,
     descent,
     idle_controls,
+    load_trip,
     make_instance,
     refine,
     simulate,
@@ -383,3 +384,20 @@ def test_osqp_never_spoils_what_it_is_given(name: str) -> None:
     warm = refine(instance, reference.controls, settings)
     assert warm.feasible
     assert warm.trajectory.cost <= reference.trajectory.cost * (1.0 + 1e-6)
+
+
+def test_a_completed_plan_is_what_its_controls_cause() -> None:
+    """A stop that is nearly right keeps its charge while a later one is corrected."""
+    instance = make_instance(load_trip("paper-400km"), (0, 2))
+    begin = complete(Simulation(instance), even_start(instance), frozenset({1}))[0]
+    for off in (1e-5, -1e-5):
+        first, second = begin.stops
+        stops = (
+            replace(first, energy_kwh=first.energy_kwh + off),
+            replace(second, energy_kwh=second.energy_kwh + 2.0),
+        )
+        controls = replace(begin, stops=stops)
+        done, trajectory = complete(Simulation(instance), controls, frozenset({1}))
+        again = simulate(instance, done)
+        assert again.cost == trajectory.cost
+        np.testing.assert_array_equal(again.energy_kwh, trajectory.energy_kwh)
