@@ -11,7 +11,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
-from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
 from math import inf
@@ -33,6 +32,7 @@ from enumerate.front_plans import (
     walk_budgets,
 )
 from enumerate.gap import relative_gap
+from enumerate.phases import REPLAY, run_phases
 from enumerate.pool import open_pool, run_in_order
 from enumerate.spread import improves, next_times, spread
 from enumerate.stretch import Stretch, make_stretches
@@ -310,17 +310,12 @@ def pareto(
         raise ValueError(f"times_h must be above 0, not {list(times_h)}")
     if measure not in ("energy", "cost"):
         raise ValueError(f"measure must be 'energy' or 'cost', not {measure!r}")
-    if not workers >= 1:
-        raise ValueError(f"workers must be at least 1, not {workers}")
     grid = grid or trip.grid
     latest = min(trip.stop_time_h, inf if latest_h is None else latest_h)
     setting = Setting(_measured(trip, measure), make_drive(trip, grid.step_km), grid)
     deadline = begin + (inf if time_limit_s is None else time_limit_s)
-    with ExitStack() as stack:
-        if executor is None:
-            executor = stack.enter_context(open_pool(workers))
-        search = _Search(setting, executor, deadline, every_subset, progress)
-        timings: dict[str, float] = {}
+    with open_pool(workers, executor) as pool:
+        search = _Search(setting, pool, deadline, every_subset, progress)
         phases: list[tuple[str, Callable[[], None]]] = [("ends", lambda: search.ends(latest))]
         if times_h is None:
             phases.append(("front", lambda: search.fill(points)))
@@ -328,19 +323,10 @@ def pareto(
             phases.append(("front", lambda: search.look(sorted(times_h))))
         if gap is not None:
             phases.append(("support", lambda: search.support(gap, latest)))
-        phases.append(("replay", search.drive))
+        phases.append((REPLAY, search.drive))
         if gap is not None:
             phases.append(("prove", lambda: search.prove(gap, latest, max_boxes)))
-        for name, phase in phases:
-            if search.interrupted and name != "replay":
-                continue
-            try:
-                phase()
-            except KeyboardInterrupt:
-                search.interrupted = "interrupted"
-                if name == "replay":  # the plans are worth more than the moment
-                    search.drive()
-            timings[name] = time.perf_counter() - begin - sum(timings.values())
+        timings = run_phases(search, phases, begin)
     found = _result(search, trip, measure, gap)
     return replace(found, timings_s={**timings, "total": time.perf_counter() - begin})
 

@@ -31,8 +31,8 @@ _stop: Event | None = None
 
 
 @contextmanager
-def open_pool(workers: int) -> Iterator[Executor | None]:
-    """Yield an executor with so many workers; None for one, who is the caller.
+def open_pool(workers: int, executor: Executor | None = None) -> Iterator[Executor | None]:
+    """Yield the executor given, or one with so many workers; None for one, who is the caller.
 
     Processes forked from this one on Linux: assembly and simulation hold the interpreter's
     lock, so threads gain little. Threads elsewhere, since a process that is not forked would
@@ -43,6 +43,13 @@ def open_pool(workers: int) -> Iterator[Executor | None]:
     ----------
     workers : int
         At least 1.
+    executor : Executor, optional
+        One that somebody else opened and will close.
+
+    Raises
+    ------
+    ValueError
+        No worker.
 
     Examples
     --------
@@ -50,8 +57,10 @@ def open_pool(workers: int) -> Iterator[Executor | None]:
     ...     list(run_in_order(pool, abs, [-1, 2]))
     [1, 2]
     """
-    if workers == 1:
-        yield None
+    if not workers >= 1:
+        raise ValueError(f"workers must be at least 1, not {workers}")
+    if executor is not None or workers == 1:
+        yield executor
         return
     stop = _make_stop()
     if stop is None:

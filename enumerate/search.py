@@ -8,7 +8,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from concurrent.futures import Executor
-from contextlib import ExitStack
 from math import inf
 from typing import Literal
 
@@ -17,6 +16,7 @@ from enumerate.evidence import StageProof
 from enumerate.explore import FEW_CHARGERS, Progress, Search
 from enumerate.gap import DEFAULT_GAP, closing_cost, is_proved
 from enumerate.ledger import Ledger, Outcome
+from enumerate.phases import REPLAY, run_phases
 from enumerate.pool import open_pool
 from enumerate.proving import prove
 from enumerate.result import Result, Status
@@ -109,23 +109,14 @@ def plan(
         raise ValueError(f"gap must be above 0 and below 1, not {gap}")
     if time_limit_s is not None and not time_limit_s >= 0.0:
         raise ValueError(f"time_limit_s must not be below 0, not {time_limit_s}")
-    if not workers >= 1:
-        raise ValueError(f"workers must be at least 1, not {workers}")
     grid = grid or trip.grid
     allowed = inf if time_limit_s is None else time_limit_s
     refinement = RefineSettings(solver=solver, deadline=begin + GRACE * allowed + GRACE_S)
     setting = Setting(trip, make_drive(trip, grid.step_km), grid, refinement)
-    timings: dict[str, float] = {}
-
-    def lap(name: str) -> None:
-        timings[name] = time.perf_counter() - begin - sum(timings.values())
-
-    with ExitStack() as stack:
-        if executor is None:
-            executor = stack.enter_context(open_pool(workers))
+    with open_pool(workers, executor) as pool:
         search = Search(
             setting,
-            executor,
+            pool,
             begin + allowed,
             progress,
             single=not prune or n_chargers <= FEW_CHARGERS,
@@ -134,20 +125,11 @@ def plan(
         phases: list[tuple[str, Callable[[], None]]] = [
             ("relax", lambda: search.relax(prune)),
             ("refine", lambda: search.refine(prune)),
-            ("replay", search.drive_or_rescue),
+            (REPLAY, search.drive_or_rescue),
         ]
         if gap is not None:
             phases.append(("prove", lambda: prove(search, gap)))
-        for name, phase in phases:
-            if search.interrupted and name != "replay":
-                continue
-            try:
-                phase()
-            except KeyboardInterrupt:
-                search.interrupted = "interrupted"
-                if name == "replay":  # the plan is worth more than the moment
-                    search.drive()
-            lap(name)
+        timings = run_phases(search, phases, begin)
     return _result(search, gap, timings, begin)
 
 
