@@ -346,10 +346,10 @@ class QuadraticStep(StepLayout):
         if cools:
             more = self._more_cooling_kwh(now)[now.power_kw.size :]
             values["cell_cooling_min"] = ((-1.0,), cooling)
-            values["cell_cooling_max"] = (
-                (1.0, -vehicle.cooling_kw),
-                np.clip(vehicle.cooling_kw * y - cooling, 0.0, more),
-            )
+            spare = vehicle.cooling_kw * y - cooling
+            # where the temperature ends it a cell may be left sooner without cooling less
+            by_power = np.where(spare <= more, -vehicle.cooling_kw, 0.0)
+            values["cell_cooling_max"] = ((1.0, by_power), np.clip(spare, 0.0, more))
         if pumps:
             values["cell_pump_min"] = ((-1.0,), pump)
             values["cell_pump_max"] = (

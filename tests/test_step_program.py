@@ -166,6 +166,30 @@ def test_the_program_cools_as_far_as_the_simulation_does(downhill: bool) -> None
     assert binding
 
 
+def test_a_cell_that_cannot_cool_may_be_left_sooner() -> None:
+    """A battery below the temperature from which cooling works: charging faster breaks no row."""
+    trip = small_trip(ambient_c=10.0, vehicle__cooling_from_c=30.0)
+    instance = make_instance(replace(trip, start_temperature_c=15.0), (0,))
+
+    def charged(power_kw: float) -> Trajectory:
+        idle = idle_controls(instance, (8.0,))
+        power = np.full(instance.cells, power_kw)
+        return simulate(
+            instance, replace(idle, stops=tuple(replace(s, power_kw=power) for s in idle.stops))
+        )
+
+    now, then = charged(20.0), charged(25.0)
+    assert now.stops[0].temperature_c.max() < 30.0
+    assert then.stops[0].dwell_h.sum() < 0.9 * now.stops[0].dwell_h.sum()
+    step = QuadraticStep(instance, Watch(cooling=True))
+    program = step.build(
+        now, expand_drive(instance, now), expand_cells(instance, now), None,
+        penalty_prices(instance), TrustRegion(1e6, 1e6),
+    )  # fmt: skip
+    spare = program.b - program.A @ distance(now, then, step)
+    assert spare[step.rows.slices["cell_cooling_max"]].min() > -1e-9
+
+
 def _slack(instance: Instance, t: Trajectory) -> dict[str, Array]:
     """Slack of the nonlinear limits, written out here; rows of one name in the program."""
     v, d, pack = instance.vehicle, instance.drive, instance.vehicle.pack
