@@ -63,6 +63,7 @@ RULES: dict[str, Callable[[], Any]] = {
     ),
     "small families": lambda: patch.object(tree, "FEW_SUBSETS", 0),
     "planes' own extremes": lambda: patch.object(relaxation_stops, "range_of_planes", _wide),
+    "whole stops": lambda: patch.object(relaxation_stops, "_add_stay", lambda *_: None),
     "planes above stop losses": lambda: patch.object(envelopes_charge, "WIDE_NODES", 0),
     "(with all cones)": lambda: patch.object(relaxation_drive, "NEAR_KW", -1.0),
     "(with least charges too)": lambda: _worth("charge", (0.5, 0.5)),

@@ -41,7 +41,7 @@ __all__ = ["fingerprint", "load_proofs", "save_evidence", "save_proofs"]
 Array = npt.NDArray[np.float64]
 
 # the version rises when steps or the rows they speak of change: dual vectors would not fit
-FORMAT, VERSION = "evrelax proofs", 3
+FORMAT, VERSION = "evrelax proofs", 4
 MEMBERS = ("header", "duals", "stages", "controls")
 UNHASHED = {"name", "currency", "grid"}
 """Fields that name things for reports, and the grid, which the file states itself."""

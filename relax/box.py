@@ -134,6 +134,18 @@ class Box:
         lo, hi = self.stop_temperature.lo, self.stop_temperature.hi
         return Interval(0.5 * (lo[:, 1:] + lo[:, :-1]), 0.5 * (hi[:, 1:] + hi[:, :-1]))
 
+    def full(self, detour_out_kwh: Array) -> Interval:
+        """Energy after charging, shape (S,) [kWh].
+
+        Parameters
+        ----------
+        detour_out_kwh : ndarray, shape (S,)
+            Energy lost between that and ``leave``.
+        """
+        after = Interval(self.leave.lo + detour_out_kwh, self.leave.hi + detour_out_kwh)
+        lo, hi = self.arrive.lo + self.charge.lo, self.arrive.hi + self.charge.hi
+        return after.meet(lo, hi).outward()
+
     def cell_energy(self, detour_out_kwh: Array) -> Interval:
         """Midpoint energy E_a + (j + 1/2) W / K of every cell, shape (S, K) [kWh].
 

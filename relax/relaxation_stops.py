@@ -19,6 +19,7 @@ from relax.envelopes_charge import (
     make_charge_grid,
     range_of_planes,
 )
+from relax.envelopes_stay import envelope_stay_under
 from relax.intervals import Interval
 from relax.program import Term
 from relax.reach_heat import cooling_floor_c
@@ -137,6 +138,7 @@ def add_stops(model: Model) -> None:
     )  # fmt: skip
     rows.less("occupied at least", np.zeros(free.size), (v["occupied"][occupied], -1.0))
     _add_charge_time(model, tables)
+    _add_stay(model)
     _add_stop_loss(model, tables, rho, rho_range)
     _add_products(model)
     price = column["price_per_kwh"]
@@ -217,6 +219,24 @@ def _add_charge_time(model: Model, tables: ChargeGrid) -> None:
         (2.0 * zero / np.sqrt(w_0), [(Wf, 2.0 * chord / np.sqrt(w_0))]),
         unit=used.ravel(),
     )
+
+
+def _add_stay(model: Model) -> None:
+    """All cells together take what the charge curve takes from begin to end (R9)."""
+    instance, box, v = model.instance, model.box, model.v
+    into, out = stack(instance, "detour_in_kwh"), stack(instance, "detour_out_kwh")
+    temp, w = box.cell_temperature, box.charge
+    planes = envelope_stay_under(
+        instance.vehicle.pack.charge_limit_kw,
+        [s.grid_limit_kw for s in instance.stops],
+        box.arrive, box.full(out), Interval(temp.lo.min(axis=1), temp.hi.max(axis=1)),
+        w.hi / instance.cells,
+    )  # fmt: skip
+    s_a, s_b, s_0 = planes.swapaxes(0, 1)
+    model.rows.less(
+        "stay from below", (s_a + s_b) * into - s_0, *((y, -1.0) for y in v["dwell"].T),
+        (v["charge"], s_b), (v["before"], s_a + s_b), unit=v["used"],
+    )  # fmt: skip
 
 
 def _add_stop_loss(model: Model, tables: ChargeGrid, rho: Array, rho_range: Interval) -> None:

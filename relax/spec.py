@@ -34,6 +34,7 @@ from relax.envelopes_charge import (
     make_charge_grid,
     range_of_planes,
 )
+from relax.envelopes_stay import envelope_stay_under
 from relax.instance import Instance, Stop
 from relax.intervals import Interval, range1, range2
 from relax.reach import FULL_SLACK_KWH
@@ -193,7 +194,8 @@ def _stop_rows(
     v |= {f"{name}[{i}]": x for name, x in zip(names, (y, loss, X, hb, ac, hp, h, p), strict=True)}
     W, c = v["charge"][i], (np.arange(K) + 0.5) / K
     out = np.array([s.detour_out_kwh for s in instance.stops])
-    energy, temp = _pick(box.cell_energy(out), np.s_[i : i + 1]), _pick(box.cell_temperature, i)
+    here = np.s_[i : i + 1]
+    energy, temp = _pick(box.cell_energy(out), here), _pick(box.cell_temperature, i)
     dwell, w = _pick(box.dwell, i), (float(box.charge.lo[i]), float(box.charge.hi[i]))
     tables = make_charge_grid(
         pack.charge_limit_kw, pack.resistance_ohm, pack.voltage_squared, [stop.grid_limit_kw],
@@ -238,6 +240,12 @@ def _stop_rows(
         value = cp.multiply(tau[0], E) + cp.multiply(tau[1], T) + tau[2]
         rows += [y >= (w[0] * value + (W - w[0]) * least) / K]
         rows += [y >= (w[1] * value + (W - w[1]) * np.minimum(longest, most_tau)) / K]
+    stay = envelope_stay_under(
+        pack.charge_limit_kw, [stop.grid_limit_kw], _pick(box.arrive, here),
+        _pick(box.full(out), here), Interval(temp.lo.min()[None], temp.hi.max()[None]),
+        box.charge.hi[here] / K,
+    )  # fmt: skip
+    rows += [cp.sum(y) >= a * arrive + b * (arrive + W) + c_0 for a, b, c_0 in stay[:, :, 0]]
     rows += _above(p, envelope_limit_over(tables.power, tables.energy, tables.temp), E, T)
     slope = (np.sqrt(w[1]) - np.sqrt(w[0])) / max(w[1] - w[0], 1e-9)
     chord = slope * W + ((np.sqrt(w[0]) - slope * w[0]) * (1.0 - 1e-9) - 1e-9)

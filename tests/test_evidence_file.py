@@ -210,7 +210,7 @@ def put(*keys: Any) -> Any:
         ('{"format": "evrelax proofs", "version": NaN}', "NaN"),
         ("[]", "no file of proofs"),
         (put("format", "other"), "no file of proofs"),
-        (put("version", 2), "version 2, not 3"),
+        (put("version", 2), "version 2, not 4"),
         (put("grid", "cells", 10**9), "grid"),
         (put("grid", "step_km", 1e-9), "grid"),
         *((put("asked_gap", gap), "gap asked for") for gap in ("inf", 1.0, 0.0, -0.5)),
