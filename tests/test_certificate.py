@@ -17,6 +17,7 @@ from trips import small_trip
 
 import relax.envelopes
 import relax.envelopes_charge
+import relax.envelopes_stay
 from relax.bound import relax_subset
 from relax.certificate import Certificate, check_structure, make_certificate
 from relax.certify import Infeasible, LowerBound, Unproved, certify_lower_bound
@@ -224,7 +225,8 @@ def test_the_page_names_every_label_and_every_envelope_and_no_other() -> None:
     label = r"\(([RC]\d+)\)"
     assert set(re.findall(label, code)) == set(re.findall(label, page))
     assert set(re.findall(label, page)) == {f"R{i}" for i in range(1, 11)} | {"C1", "C2"}
-    envelopes = {*relax.envelopes.__all__, *relax.envelopes_charge.__all__}
+    modules = relax.envelopes, relax.envelopes_charge, relax.envelopes_stay
+    envelopes = {name for module in modules for name in module.__all__}
     named = set(re.findall(r"envelope_\w+", page))
     assert named == {e for e in envelopes if e.startswith("envelope_")}
     functions = re.findall(r"`(_?(?:(?:add|make|measure|certify)_\w+|propagate))`", page)
