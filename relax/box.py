@@ -142,9 +142,12 @@ class Box:
         detour_out_kwh : ndarray, shape (S,)
             Energy lost between that and ``leave``.
         """
-        after = Interval(self.leave.lo + detour_out_kwh, self.leave.hi + detour_out_kwh)
         lo, hi = self.arrive.lo + self.charge.lo, self.arrive.hi + self.charge.hi
-        return after.meet(lo, hi).outward()
+        return self._charged(detour_out_kwh).meet(lo, hi).outward()
+
+    def _charged(self, detour_out_kwh: Array) -> Interval:
+        """Energy after charging by what is left after the detour."""
+        return Interval(self.leave.lo + detour_out_kwh, self.leave.hi + detour_out_kwh)
 
     def cell_energy(self, detour_out_kwh: Array) -> Interval:
         """Midpoint energy E_a + (j + 1/2) W / K of every cell, shape (S, K) [kWh].
@@ -156,7 +159,7 @@ class Box:
         """
         cells = self.dwell.lo.shape[1]
         c = (np.arange(cells) + 0.5) / cells
-        full = Interval(self.leave.lo + detour_out_kwh, self.leave.hi + detour_out_kwh)
+        full = self._charged(detour_out_kwh)
         lo = self.arrive.lo[:, None] + c * self.charge.lo[:, None]
         hi = self.arrive.hi[:, None] + c * self.charge.hi[:, None]
         return (

@@ -215,6 +215,28 @@ def test_the_stops_of_the_best_plan_are_left_out_one_by_one_and_no_neighbour_is_
     assert {row.subset for row in left} <= {subset for *_, subset in holding}
 
 
+def test_a_plan_that_is_dear_on_the_road_gives_way_to_a_rival(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The cheapest on the grid is made dear on the road: others are driven, the best is kept."""
+    driven: dict[tuple[int, ...], float] = {}
+
+    def drive(trip: Trip, instance: Instance, *rest: Any) -> Execution:
+        done = execute(trip, instance, *rest)
+        assert done.replay is not None
+        if not driven:
+            done = replace(done, replay=replace(done.replay, cost=1.2 * done.replay.cost))
+        assert done.replay is not None
+        driven[instance.subset] = done.replay.cost
+        return done
+
+    monkeypatch.setattr(road, "execute", drive)
+    result = plan(load_trip("paper-400km"))
+    assert 2 <= len(driven) <= 1 + explore.RIVALS
+    first = next(iter(driven))
+    assert result.cost == min(driven.values()) < driven[first]
+
+
 def test_a_choice_that_no_climb_met_is_found_where_choices_are_few(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -232,9 +254,9 @@ def test_a_choice_that_no_climb_met_is_found_where_choices_are_few(
     assert result.transcribed_cost < 0.998 * plan(trip).transcribed_cost
 
 
-@pytest.mark.parametrize("seed", [90, 234])
+@pytest.mark.parametrize(("seed", "stuck"), [(90, True), (126, False), (234, True)])
 def test_with_few_chargers_a_poor_local_optimum_is_left_where_the_bound_is_far_below(
-    seed: int, monkeypatch: pytest.MonkeyPatch
+    seed: int, stuck: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     trip = random_trip(seed)
     result = plan(trip)
@@ -246,7 +268,8 @@ def test_with_few_chargers_a_poor_local_optimum_is_left_where_the_bound_is_far_b
             done = refine(instance, start)
             assert not done.feasible or cheapest <= done.trajectory.cost * (1.0 + 5e-3)
     monkeypatch.setattr(explore, "FAR_BELOW", inf)
-    assert cheapest < 0.97 * min(row.cost for row in plan(trip).ledger.rows)
+    without = min(row.cost for row in plan(trip).ledger.rows)
+    assert cheapest < 0.97 * without if stuck else cheapest <= without
 
 
 def test_the_relaxed_start_and_a_warmer_one_end_at_the_same_plan() -> None:
@@ -279,14 +302,16 @@ def test_in_the_cold_two_starts_are_no_worse_than_one(
     relaxed = relax_subset(instance)
     node = Node(Row(subset, Outcome.UNPROVED, lower_bound=relaxed.lower_bound), relaxed.point)  # type: ignore[arg-type]
     warm = refine_node(setting, node, warm=True)
-    assert warm.row.cost <= refine_node(setting, node).row.cost * (1.0 + 1e-4)
+    same = 1.0 + RefineSettings().tolerance  # two descents into one optimum differ by this at most
+    assert warm.row.cost <= refine_node(setting, node).row.cost * same
     again = refine_apart(setting, warm)
     starts = [even_start(instance), relaxed_start(instance, relaxed.point)]  # type: ignore[arg-type]
     assert warm.refined is not None
     starts += [warmer_start(instance, warm.refined.controls), colder_start(warm.refined.controls)]
     starts += islice(further_starts(instance), 5)  # even and warm: they owe nothing to the plan
     others = [refine(instance, start).trajectory.cost for start in starts]
-    assert again.row.cost <= min(warm.row.cost, *others) * (1.0 + 1e-4)
+    assert again.row.cost <= warm.row.cost
+    assert again.row.cost <= min(others) * same
 
 
 def test_a_colder_start_heats_no_battery_and_leaves_the_rest() -> None:
